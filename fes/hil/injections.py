@@ -138,6 +138,16 @@ def _sensor(name: str, value: float = 1.0) -> Inject:
     return lambda bench, n: bench.devices.imu.inject(name, value)
 
 
+def _axis_stuck(first: int) -> Inject:
+    """The axis that the attempt's value names holds its value, with noise: 1 is the triad's first."""
+    return lambda bench, n: bench.devices.imu.inject("held_alive", 1 << (first + round(bench.value) - 1))
+
+
+def _times(name: str) -> Inject:
+    """One triad's values times the attempt's."""
+    return lambda bench, n: bench.devices.imu.inject(name, bench.value)
+
+
 def _stimulator(name: str, value: float, off: float) -> tuple[Inject, Heal]:
     return lambda bench, n: bench.devices.node.inject(name, value), lambda bench: bench.devices.node.inject(name, off)
 
@@ -279,6 +289,10 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_rate_frozen": (_sensor("held", 56), _clear),
     "imu_force_dead": (_sensor("held_alive", 7), _clear),
     "imu_rate_stuck": (_sensor("held_alive", 56), _clear),
+    "imu_force_axis_stuck": (_axis_stuck(0), _clear),
+    "imu_rate_axis_stuck": (_axis_stuck(3), _clear),
+    "imu_force_scaled": (_times("force_scaled"), _clear),
+    "imu_rate_scaled": (_times("rate_scaled"), _clear),
     "imu_nan": (_sensor("nan", MANY), _clear),
     "imu_inf": (_sensor("inf", MANY), _clear),
     "imu_saturated": (_sensor("full"), _clear),

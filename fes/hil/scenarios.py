@@ -106,6 +106,7 @@ _STAYS = "the stimulator's lease; notices the gap itself, stays off"
 _BACK = "off; reconnects by itself, is never armed by itself"
 _OPENED = "off by lease; opened again; armed by hand"
 _RETRY = "one retry, then off"
+_CONTRADICTS = "feel it|do not fit|gravity|dangle"
 _HELD_UP = "stalled|late|old|lease expired"  # stopped between looking up and hearing the stimulator, that speaks first
 
 # fmt: off
@@ -117,6 +118,13 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_rate_frozen", "gyroscope frozen, accelerometer not", 100, "gyroscope is frozen"),
     Scenario("imu_force_dead", "accelerometer holds one value, with noise", 1500, "feel it|do not fit|gravity"),
     Scenario("imu_rate_stuck", "gyroscope holds one value, with noise", 1500, "feel it|do not fit|dangle"),
+    Scenario("imu_force_axis_stuck", "accelerometer's axis 1, 2, 3 holds one value, with noise", 1500, _CONTRADICTS,
+             values=(1.0, 2.0, 3.0)),
+    Scenario("imu_rate_axis_stuck", "gyroscope's axis 1, 2, 3 holds one value, with noise", 1500, _CONTRADICTS,
+             values=(1.0, 2.0, 3.0)),
+    Scenario("imu_force_scaled", "accelerometer × 0.5, 0.8, 1.25, 2", 1500, _CONTRADICTS + "|unit|take",
+             values=(0.5, 0.8, 1.25, 2.0)),
+    Scenario("imu_rate_scaled", "gyroscope × 0.5, 2", 1500, _CONTRADICTS + "|unit|take", values=(0.5, 2.0)),
     Scenario("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
     Scenario("imu_inf", "infinite values", 100, "non-finite"),
     Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit"),

@@ -161,6 +161,7 @@ def test_force_that_moves_without_a_turn_is_counted() -> None:
     assert not any(feed(Coherence("left_foot"), turning))
 
 
+@pytest.mark.requirement("SR-10")
 def test_one_axis_that_never_turns_is_told_of_a_foot_alone() -> None:
     moving = [(1.5 * (k % 2), 0.0, G_MPS2, 0.0, 0.3 * (k % 2), 0.3 * (k % 2)) for k in range(MOST_UNTURNED_AXIS + 4)]
     said = feed(Coherence("left_foot"), moving)

@@ -336,6 +336,7 @@ def test_a_held_back_burst_has_no_other_privilege(bench: Bench) -> None:
     assert_latched(bench, bench.ask(current_ma=31.0), "current 31 mA")
 
 
+@pytest.mark.requirement("SR-05")
 def test_a_burst_that_was_held_back_is_as_any_other_once_it_is_on() -> None:
     bench = Bench(risen=False)
     assert bench.ask(current_ma=0.5).on

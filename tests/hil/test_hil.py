@@ -240,6 +240,16 @@ def test_axes_of_a_simulated_sensor_keep_one_value_to_the_bit_or_alive() -> None
     assert max(alive) - min(alive) <= 0.1
 
 
+def test_one_triad_of_a_simulated_sensor_is_scaled_alone() -> None:
+    device = SimulatedImu(LslWire(), ImuSignal(100.0, np.full((20, 3), 3.0), np.full((20, 3), 2.0)), 0)
+    for fault, acc, gyr in (("force_scaled", 1.5, 2.0), ("rate_scaled", 3.0, 1.0)):
+        device.set_fault(0, fault, 0.5)
+        device.advance(10**8)
+        assert device._reading(0).acc_mps2 == (acc,) * 3
+        assert device._reading(0).gyr_radps == (gyr,) * 3
+        device.set_fault(0, fault, 0.0)
+
+
 def test_what_must_go_off_has_a_deadline() -> None:
     for scenario in SCENARIOS:
         if scenario.effect in (Effect.LATCHED, Effect.ENDED):

@@ -22,7 +22,7 @@ DOCS = ROOT / "docs"
 REQUIREMENTS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("requirements.toml").read_text(encoding="utf-8")
 )
-HAZARDS: list[dict[str, str]] = tomllib.loads(Path(__file__).with_name("hazards.toml").read_text(encoding="utf-8"))[
+HAZARDS: list[dict[str, Any]] = tomllib.loads(Path(__file__).with_name("hazards.toml").read_text(encoding="utf-8"))[
     "hazard"
 ]
 REGENERATE = "Written by `make docs`; do not edit by hand."
@@ -67,11 +67,54 @@ def requirements_page() -> str:
 # --- hazards ------------------------------------------------------------------------------------------------
 
 
+SEVERITIES = {
+    1: "negligible: inconvenience, or nothing but a lost record",
+    2: "minor: pain, a spasm or irritated skin that passes by itself",
+    3: "serious: an injury that needs treatment; a fall, a burn, a cramp under load",
+    4: "critical: lasting injury or death",
+}
+PROBABILITIES = {
+    1: "improbable: not expected in the life of an installation",
+    2: "remote: once in 10,000 sessions",
+    3: "occasional: once in 100 sessions",
+    4: "probable: once in 10 sessions",
+    5: "frequent: in every session",
+}
+CLAIMS = {
+    "the software": "shown by tests of this code, whatever the device",
+    "recordings and virtual patients": "shown on recorded walks and virtual patients, not in use",
+    "virtual devices only": "shown on simulated devices; of a real one it must be shown anew before use",
+}
+
+
+def acceptability(severity: int, probability: int) -> str:
+    """In words, whether a risk may remain: by the sum of both grades."""
+    total = severity + probability
+    return "acceptable" if total <= 4 else "as low as practicable" if total == 5 else "not acceptable"
+
+
+def risk(hazard: dict[str, Any], when: str) -> str:
+    """Severity, probability and acceptability ``before`` or ``after`` the control, as a cell of the table."""
+    severity, probability = hazard["severity"], hazard[f"probability_{when}"]
+    return f"S{severity} P{probability}: {acceptability(severity, probability)}"
+
+
+def scale(letter: str, grades: dict[int, str]) -> str:
+    """A scale's rows."""
+    return "\n".join(f"| {letter}{grade} | {text} |" for grade, text in grades.items())
+
+
 def hazards_page() -> str:
     """docs/hazards.md."""
     rows = "\n".join(
-        f"| {h['hazard']} | {h['cause']} | {h['control']} | {h['requirement']} | `{h['test']}` |" for h in HAZARDS
+        f"| {h['hazard']} | {h['cause']} | {risk(h, 'before')} | {h['control']} | {risk(h, 'after')} | {h['residual']} "
+        f"| {h['claimed_for']} | {h['requirement']} | `{h['test']}` |"
+        for h in HAZARDS
     )
+    open_risks = "\n".join(
+        f"- {h['cause']}: {h['residual']}" for h in HAZARDS if risk(h, "after").endswith("not acceptable")
+    )
+    claims = "\n".join(f"| {name} | {text} |" for name, text in CLAIMS.items())
     return f"""# Hazards
 
 {REGENERATE} The source is `tests/safety/hazards.toml`.
@@ -81,8 +124,36 @@ control out of a scratch copy of the code and runs the test named: it must pass 
 controls (skin, electrodes' places, the choice of patient, falls for other reasons) is in
 [intended use](intended_use.md).
 
-| hazard | cause | control | requirement | test that fails without it |
-|---|---|---|---|---|
+## Scales
+
+Severity is of the harm that the hazard may lead to, with the harness or the person at the side that the intended use
+asks for. Probability is of that harm, before: without the control, and after: with it. All grades are judgements of
+those who wrote the software, from tests, simulations and recordings. None was measured in use: there has been no use
+with people. Whoever does use it has to judge anew.
+
+| severity | |
+|---|---|
+{scale("S", SEVERITIES)}
+
+| probability | |
+|---|---|
+{scale("P", PROBABILITIES)}
+
+Both grades are added up. Up to 4: acceptable. 5: acceptable when as low as practicable, and watched. More: not
+acceptable.
+
+| claimed for | |
+|---|---|
+{claims}
+
+## Not acceptable with the control
+
+{open_risks or "None."}
+
+## Hazards
+
+| hazard | cause | risk before | control | risk after | what remains | claimed for | requirement | test that needs it |
+|---|---|---|---|---|---|---|---|---|
 {rows}
 """
 

@@ -49,7 +49,7 @@ def main() -> None:
         work = copied(Path(temporary))
         known: dict[str, bool] = {}
         for hazard in HAZARDS[options.skip :]:
-            if word not in " ".join(hazard.values()):
+            if word not in " ".join(map(str, hazard.values())):
                 continue
             path, test = work / hazard["file"], hazard["test"]
             good = path.read_text(encoding="utf-8")

@@ -4,9 +4,23 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
-from documents import DOCS, HAZARDS, REQUIREMENTS, ROOT, hazards_page, locked, requirements_page, shown_by
+from documents import (
+    CLAIMS,
+    DOCS,
+    HAZARDS,
+    PROBABILITIES,
+    REQUIREMENTS,
+    ROOT,
+    SEVERITIES,
+    acceptability,
+    hazards_page,
+    locked,
+    requirements_page,
+    shown_by,
+)
 
 AGAIN = "is out of date: make docs"
 
@@ -33,11 +47,32 @@ def test_third_party_versions_are_those_of_the_lock_files() -> None:
 
 
 @pytest.mark.parametrize("hazard", HAZARDS, ids=lambda hazard: hazard["cause"])
-def test_every_hazard_has_a_requirement_a_test_of_it_and_a_control_to_take_out(hazard: dict[str, str]) -> None:
+def test_every_hazard_has_a_requirement_a_test_of_it_and_a_control_to_take_out(hazard: dict[str, Any]) -> None:
     assert hazard["test"] in shown_by()[hazard["requirement"]]
     text = (ROOT / hazard["file"]).read_text(encoding="utf-8")
     assert text.count(hazard["old"]) == 1, f"{hazard['file']} no longer holds the control once: {hazard['old']}"
     assert hazard["new"] not in ("", hazard["old"]) or hazard["old"].strip()
+
+
+@pytest.mark.parametrize("hazard", HAZARDS, ids=lambda hazard: hazard["cause"])
+def test_every_hazard_is_graded_and_says_what_remains_and_for_what_it_is_claimed(hazard: dict[str, Any]) -> None:
+    assert hazard["severity"] in SEVERITIES
+    assert hazard["probability_before"] in PROBABILITIES
+    assert hazard["probability_after"] in PROBABILITIES
+    assert hazard["probability_after"] < hazard["probability_before"], "a control that changes nothing is none"
+    assert hazard["residual"].strip()
+    assert hazard["claimed_for"] in CLAIMS
+
+
+@pytest.mark.parametrize("hazard", HAZARDS, ids=lambda hazard: hazard["cause"])
+def test_what_a_simulated_device_does_is_claimed_of_virtual_devices_only(hazard: dict[str, Any]) -> None:
+    assert not hazard["file"].startswith("drivers/simulated/") or hazard["claimed_for"] == "virtual devices only"
+
+
+def test_what_is_probable_and_serious_is_not_acceptable() -> None:
+    assert acceptability(3, 1) == acceptability(1, 3) == "acceptable"
+    assert acceptability(3, 2) == acceptability(4, 1) == "as low as practicable"
+    assert acceptability(3, 3) == acceptability(4, 2) == "not acceptable"
 
 
 def test_documents_that_are_not_generated_are_there() -> None:

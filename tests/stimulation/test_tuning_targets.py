@@ -125,6 +125,7 @@ def test_a_stride_is_skipped_with_its_reason(seen: StrideFilter, changes: dict[s
     assert reason in seen.why_skip(stride(4, 0.02, **changes), 270.0, 1.0)
 
 
+@pytest.mark.requirement("SR-23")
 def test_stairs_are_left_out_though_the_solution_is_held_level() -> None:
     filtered = StrideFilter(tuning(), 0.15)
     flat = [stride(n, 0.02, height_gained_m=0.0, free_rise_m=0.02 + 0.01 * (-1) ** n) for n in range(12)]

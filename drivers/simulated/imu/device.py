@@ -1,7 +1,8 @@
 """A simulated inertial sensor with its own clock: time in, messages out; no I/O.
 
 Faults, besides the line's own (:mod:`drivers.simulated.lines`): ``reboot`` (now: silent for 0.3 s, then clock and
-counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``held`` / ``held_alive`` (a
+counter from 0), ``unit`` (values times this; 0 ends it), ``force_scaled`` / ``rate_scaled`` (one triad times this; 0
+ends it), ``stuck`` (1: repeats itself), ``held`` / ``held_alive`` (a
 sum of 1, 2, 4 for the accelerometer's axes and 8, 16, 32 for the gyroscope's: these keep what they showed last, to
 the bit or with noise; 0 ends it), ``clip`` (values held within ± this share of full scale; 0 ends it), ``full`` (1:
 every value at the end of its range), ``nan`` / ``inf`` / ``doubled`` (so many of the next samples), ``axes`` (1: sits
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 LASTING: Final = (
     "unit",
+    "force_scaled",
+    "rate_scaled",
     "stuck",
     "held",
     "held_alive",
@@ -206,6 +209,8 @@ class SimulatedImu(Device):
         if not self._values["stuck"]:
             self._last = self._signal.sample(self._played)
         acc, gyr = self._with_held_axes(*self._last)
+        acc = _held(acc, self._values["force_scaled"] or 1.0, math.inf)
+        gyr = _held(gyr, self._values["rate_scaled"] or 1.0, math.inf)
         factor, share = self._values["unit"] or 1.0, self._values["clip"] or 1.0
         held_acc = _held(acc, factor, share * self._acc_range)
         held_gyr = _held(gyr, factor, share * self._gyr_range)
