@@ -36,7 +36,7 @@ from fes.recording import Track
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample, Vector3
 from fes.simulation.forward import VirtualPatient
 
-STRIDE_S, BEFORE_S, LONGEST_S = 1.5, 4.0, 3.0
+STRIDE_S, BEFORE_S, LONGEST_S = 1.5, 8.0, 3.0
 LYING = "P06"
 STALL_NS, AROUND_NS = 60_000_000, 3 * NS_PER_S
 ACC_NOISE, GYR_NOISE = 0.05, 0.02
@@ -79,12 +79,15 @@ def dangles(acc: FloatArray, gyr: FloatArray, rng: np.random.Generator, rate_hz:
 FAULTS: dict[str, Fault] = {
     "accelerometer frozen": held(0, "all", 0.0),
     "accelerometer stuck": held(0, "all", ACC_NOISE),
+    "accelerometer, one axis frozen": held(0, "other", 0.0),
     "accelerometer, one axis stuck": held(0, "other", ACC_NOISE),
     "accelerometer × 0.8": scaled(0, 0.8),
     "accelerometer × 1.25": scaled(0, 1.25),
     "accelerometer × 1.5": scaled(0, 1.5),
     "gyroscope frozen": held(1, "all", 0.0),
     "gyroscope stuck": held(1, "all", GYR_NOISE),
+    "gyroscope, main axis frozen": held(1, "main", 0.0),
+    "gyroscope, another axis frozen": held(1, "other", 0.0),
     "gyroscope, main axis stuck": held(1, "main", GYR_NOISE),
     "gyroscope, another axis stuck": held(1, "other", GYR_NOISE),
     "gyroscope × 0.5": scaled(1, 0.5),

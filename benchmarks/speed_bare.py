@@ -18,6 +18,7 @@ from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Record, Vec, new_core
 from fes.estimation.sensor_choice import Calibration
+from fes.estimation.tracking.phase_features import enter_phase
 from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, ZuptSettings, gather, gather_intervals, interval_ends
 from fes.estimation.zupt.filter import filter_intervals, new_tape
 from fes.estimation.zupt.smoother import smooth_intervals
@@ -36,7 +37,7 @@ def _follow(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, out: Mat, after: Vec) -
         at, number = kernel.advance(core, t_ns, acc, gyr, at, t_ns.shape[0], out)
         if number > 0:
             changes += 1
-            kernel.enter(core, after[number], acc, at - 1)
+            enter_phase(core, after[number])
     return changes
 
 

@@ -15,6 +15,9 @@ from fes.signals import G_MPS2, NS_PER_S, SHANK_SENSORS, ImuSample, Vector3
 BLOCK_NS: Final = 14_500_000  # a mean over at least this long: two samples at 100 Hz, eight at 500 Hz
 MOST_STEP_NS: Final = 40_000_000  # between two samples; what a longer gap hides cannot be added up
 SAME_NS: Final = 60_000_000  # bit-equal while the other triad lives; real and virtual triads: 40 ms at most
+SAME_AXIS_NS: Final = 100_000_000  # one axis bit-equal while the sensor moves; real: 20 ms
+LIVED: Final = 50  # samples that differed: an axis that never did is none of this sensor's
+FULL_SCALE_SHARE: Final = 0.98  # of the triad's greatest value: an axis there may be clipped
 TURNS_RADPS: Final = 0.3  # slower, a zero that is off adds up to a turn in time
 FORCE_MOVED_MPS2: Final = 1.0  # along an axis
 RATE_MOVED_RADPS: Final = 0.25  # about an axis
@@ -38,7 +41,15 @@ EXCESS_MPS2: Final = 1.3  # of the mean vertical force over gravity, in two stri
 EXCESS_ONCE_MPS2: Final = 1.6  # in one stride; real: 0.71
 LACK_MPS2: Final = 2.2  # below gravity, in two strides in a row; real: 1.9
 LACK_ONCE_MPS2: Final = 4.0  # below gravity: a rest that was none has been seen to lack 2.7
-_AXES: Final = "xyz"
+HOP_NS: Final = 250_000_000
+HOPS: Final = 5  # 1.25 s: a stride of most
+USUAL_HOPS: Final = 12  # before an axis' usual range counts as known …
+FOLLOW: Final = 0.05  # … and a hop's share in it
+MOVES_MPS2, MOVES_RADPS = 4.0, 1.5  # the usual range begins with the first that somebody moves by
+OTHERS_MOVE: Final = 0.5  # of their usual range, in the middle of all axes
+LEAST_SHARE: Final = 0.07  # of an axis' usual range against the other axes' share; real: 0.139, simulated turns 0.105
+FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
+_AXES: Final = tuple(f"{triad}'s {axis} axis" for triad in ("accelerometer", "gyroscope") for axis in "xyz")
 
 
 class Coherence:
@@ -54,6 +65,8 @@ class Coherence:
         self.not_ready = ""  # while a triad is frozen
         self._t_ns = 0
         self._same = _Same(), _Same()
+        self._axes = _SameAxis(), _SameAxis()
+        self._ranges = _Ranges()
         self._restart()
 
     def fault(self, sample: ImuSample) -> str:
@@ -63,6 +76,8 @@ class Coherence:
             return ""  # a slip is counted elsewhere
         self._t_ns = sample.t_sensor_ns
         if not 0 < step_ns <= MOST_STEP_NS:
+            if not 0 < step_ns <= FORGET_NS:
+                self._ranges = _Ranges()
             self._restart()
             return ""
         (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
@@ -73,6 +88,10 @@ class Coherence:
         self.not_ready = f"{self._sensor}'s {frozen} is frozen: the same values, the other's change" if frozen else ""
         if frozen:
             return self.not_ready
+        moves = abs(x * x + y * y + z * z - G_MPS2 * G_MPS2) > 2.0 * G_MPS2 or p * p + q * q + r * r > RESTS_RADPS**2
+        for first, axes, values in ((0, self._axes[0], sample.acc_mps2), (3, self._axes[1], sample.gyr_radps)):
+            if (axis := axes.stuck(values, step_ns, moves)) >= 0:
+                return f"{self._sensor}'s {_AXES[first + axis]} is frozen: the same value, the others' change"
         self._x += x
         self._y += y
         self._z += z
@@ -86,6 +105,7 @@ class Coherence:
     def _restart(self) -> None:
         """Begin as if nothing had come before."""
         self._clear_block()
+        self._ranges.restart()
         self._before: Vector3 | None = None  # the last mean force
         self._resting_ns = 0
         self._up: Vector3 | None = None  # gravity's way up, turned along since the last rest
@@ -129,6 +149,8 @@ class Coherence:
         jolt_x, jolt_y, jolt_z = x - before[0], y - before[1], z - before[2]
         if jolt_x * jolt_x + jolt_y * jolt_y + jolt_z * jolt_z > JOLT_MPS2 * JOLT_MPS2:
             self._smooth_rad = 0.0
+        if (axis := self._ranges.dead((x, y, z, p, q, r), block_ns)) >= 0:
+            return f"{self._sensor}'s {_AXES[axis]} hardly moves any more, the others move as ever: stuck?"
         return self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), (p, q, r), rate_radps, block_ns)
 
     def _dead(self, force: Vector3, rate: Vector3) -> str:
@@ -161,10 +183,10 @@ class Coherence:
         for axis in (0, 1, 2):
             if unseen[axis] > MOST_UNSEEN_AXIS_MPS2:
                 unseen[axis] = 0.0
-                return f"{sensor} turns, but its accelerometer's {_AXES[axis]} axis does not feel it: stuck?"
+                return f"{sensor} turns, but its {_AXES[axis]} does not feel it: stuck?"
             if self._is_foot and unturned[axis] > MOST_UNTURNED_AXIS:
                 unturned[axis] = 0
-                return f"{sensor} is moved, but its gyroscope's {_AXES[axis]} axis does not feel it: stuck?"
+                return f"{sensor} is moved, but its {_AXES[3 + axis]} does not feel it: stuck?"
         return ""
 
     def _gravity(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> str:
@@ -245,6 +267,88 @@ class _Same:
         self._ns = self._ns + step_ns if values == self._values else 0
         self._values = values
         return self._ns
+
+
+class _SameAxis:
+    """Which axis of a triad repeats itself to the bit while the sensor moves."""
+
+    def __init__(self) -> None:
+        self._values: Vector3 = (math.nan, math.nan, math.nan)
+        self._ns = [0, 0, 0]
+        self._lived = [0, 0, 0]
+        self._greatest = 0.0
+
+    def stuck(self, values: Vector3, step_ns: int, moves: bool) -> int:
+        """Its number, -1 for none, with these values a step later; ``moves``: whether the sensor does."""
+        before, self._values = self._values, values
+        for axis in (0, 1, 2):
+            value = values[axis]
+            if value != before[axis]:
+                self._ns[axis] = 0
+                self._lived[axis] += 1
+                self._greatest = max(self._greatest, abs(value))
+            elif moves and self._lived[axis] > LIVED and abs(value) < FULL_SCALE_SHARE * self._greatest:
+                self._ns[axis] += step_ns
+                if self._ns[axis] >= SAME_AXIS_NS:
+                    self._ns[axis] = 0
+                    return axis
+        return -1
+
+
+class _Ranges:
+    """How far each of six axes goes in 1.25 s, against what is usual for it here.
+
+    One that hardly moves while the others move as usual is dead, whatever noise it has.
+    """
+
+    def __init__(self) -> None:
+        self._usual: list[float] = []
+        self._known = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Look at a stretch of its own from now on; what is usual stays."""
+        self._hops: list[tuple[list[float], list[float]]] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        self._least, self._most = [math.inf] * 6, [-math.inf] * 6
+        self._ns = 0
+
+    def dead(self, values: tuple[float, ...], block_ns: int) -> int:
+        """Take in means (6,) of force and rate; the number of a dead axis, -1 for none."""
+        least, most = self._least, self._most
+        for axis, value in enumerate(values):
+            if value < least[axis]:
+                least[axis] = value
+            if value > most[axis]:
+                most[axis] = value
+        self._ns += block_ns
+        if self._ns < HOP_NS:
+            return -1
+        self._hops = [*self._hops[1 - HOPS :], (least, most)]
+        self._begin()
+        return self._judge() if len(self._hops) == HOPS else -1
+
+    def _judge(self) -> int:
+        ranges = [
+            max(most[axis] for _, most in self._hops) - min(least[axis] for least, _ in self._hops) for axis in range(6)
+        ]
+        if not self._usual:
+            if max(ranges[:3]) > MOVES_MPS2 and max(ranges[3:]) > MOVES_RADPS:
+                self._usual = ranges
+            return -1
+        shares = [now / max(usual, 1e-6) for now, usual in zip(ranges, self._usual, strict=True)]
+        ranked = sorted(shares)
+        middle = 0.5 * (ranked[2] + ranked[3])
+        if middle <= OTHERS_MOVE:
+            return -1
+        if self._known >= USUAL_HOPS and ranked[0] < LEAST_SHARE * middle:
+            self._hops = []
+            return shares.index(ranked[0])
+        self._known += 1
+        self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
+        return -1
 
 
 def _apart(a: Vector3, b: Vector3, most: float) -> bool:

@@ -21,7 +21,7 @@ SUSTAINED_NS: Final = SUSTAINED_MS * 1_000_000
 # with the first three of them 1.38 times as wide no real walk would be taken for an exchange yet
 LEAST_JUMP: Final = 0.7  # of force and rate together, each squared and against its own size
 SMOOTH: Final = 0.13  # of the jump: the steps before and after it are smaller
-EXPLAINED: Final = 0.12  # of the jump: what an exchange of axes leaves of it
+EXPLAINED: Final = 0.09  # of the jump: what an exchange of axes leaves of it
 AGAINST: Final = 0.02  # of the rate's square: an exchange may miss the new rate by so much more than the old rate does
 LEAST_FORCE_MPS2: Final = 4.0  # smaller forces and rates are not taken as larger jumps for their size
 LEAST_RATE_RADPS: Final = 1.0

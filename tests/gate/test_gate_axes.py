@@ -103,7 +103,7 @@ def test_what_an_exchange_leaves_is_an_eighth_of_the_jump_at_most() -> None:
     def with_rest(rest_mps2: float) -> list[int]:
         return told([(FORCE, zero)] * 2 + [(changed(rest_mps2), zero)] * 3)
 
-    limit = next(r / 1000 for r in range(12_000) if left(r / 1000) > 0.12)
+    limit = next(r / 1000 for r in range(12_000) if left(r / 1000) > 0.09)
     assert with_rest(limit - 0.002) == [4]
     assert with_rest(limit) == []
 
@@ -284,7 +284,7 @@ def expected(pairs: list[Pair]) -> list[int]:
             for i in range(k - 1, k + 3)
         )
         explained = any(
-            apart(acc, exchanged(acc_before, *each)) / force + of_rate <= 0.12 * jump
+            apart(acc, exchanged(acc_before, *each)) / force + of_rate <= 0.09 * jump
             for each in EXCHANGES
             if (of_rate := apart(gyr, exchanged(gyr_before, *each)) / rate) <= apart(gyr, gyr_before) / rate + 0.02
         )

@@ -103,7 +103,15 @@ SWING_S, STANCE_AT_S = 4 * STRIDE_S + STANCE_S + 0.12, 4 * STRIDE_S + 0.2
         pytest.param((0,), 0.1, STANCE_AT_S, "do not fit|x axis", STRIDE_S + 0.5, id="an axis of force dead"),
         pytest.param(GYR, 0.05, SWING_S, "accelerometer does not feel|do not fit", STRIDE_S, id="rate stuck in swing"),
         pytest.param(GYR, 0.05, STANCE_AT_S, "gyroscope does not feel", 2 * STRIDE_S, id="rate dead in stance"),
-        pytest.param((3,), 0.05, STANCE_AT_S, "x axis does not feel it|fit", 6 * STRIDE_S, id="an axis of rate dead"),
+        pytest.param((3,), 0.05, STANCE_AT_S, "gyroscope's x axis hardly", 1.6, id="an axis of rate dead"),
+        pytest.param(
+            (4,), 0.05, SWING_S, "y axis hardly|fit|does not feel", 1.6, id="main axis of rate dead"
+        ),
+        *(
+            pytest.param((axis,), 0.0, SWING_S, f"{'xyz'[axis % 3]} axis is frozen", 0.15, id=f"axis {axis} frozen")
+            for axis in range(6)
+        ),
+        pytest.param((4,), 0.0, STANCE_AT_S, "y axis is frozen", STANCE_S + 0.15, id="main axis frozen in stance"),
     ],
 )
 def test_what_is_stuck_is_told(axes: tuple[int, ...], noise: float, from_s: float, says: str, within_s: float) -> None:
@@ -127,7 +135,8 @@ def test_a_force_that_is_scaled_is_told_within_two_strides(factor: float) -> Non
 
 def pendulum(t_s: float, swings: float) -> Six:
     tilt, turn = 0.7 * math.sin(swings * t_s), 0.7 * swings * math.cos(swings * t_s)
-    return (math.sin(9e4 * t_s) * 0.02, 0.0, G_MPS2 * math.cos(tilt) + 0.3 * turn**2, 0.01 * math.sin(t_s), turn, 0.0)
+    noise = 0.02 * math.sin(9e4 * t_s)
+    return (noise, -noise, G_MPS2 * math.cos(tilt) + 0.3 * turn**2, 0.01 * math.sin(t_s), turn, noise)
 
 
 @pytest.mark.parametrize("swings", [5.0, 7.0])
@@ -135,6 +144,53 @@ def test_a_sensor_that_dangles_is_told(swings: float) -> None:
     said, after_s = walk(lambda _, t_s: pendulum(t_s, swings), from_s=STANCE_AT_S)
     assert "dangle" in said or "axis does not feel it" in said or "accelerometer does not feel it" in said
     assert after_s < 3.0
+
+
+@pytest.mark.requirement("SR-10")
+def test_what_repeats_itself_at_full_scale_or_from_the_start_is_not_frozen() -> None:
+    def clipped(v: Six, t_s: float) -> Six:
+        return (v[0], v[1], v[2], v[3], max(min(v[4], 2.0), -2.0), v[5])
+
+    def planar(v: Six, t_s: float) -> Six:
+        return (v[0], v[1], v[2], 0.0, v[4], v[5])
+
+    assert "frozen" not in walk(clipped)[0]
+    assert "frozen" not in walk(planar, sensor="left_shank")[0]
+
+
+@pytest.mark.parametrize(("turns", "says"), [(0.6, ""), (0.02, "z axis hardly moves")])
+def test_an_axis_may_move_less_but_not_by_nothing(turns: float, says: str) -> None:
+    """As feet do that no longer turn about an axis; seven per cent of the usual is the bound."""
+
+    def change(v: Six, t_s: float) -> Six:
+        return (v[0], v[1], v[2], v[3], v[4], turns * v[5])
+
+    said, _ = walk(change, from_s=STANCE_AT_S, sensor="right_shank")
+    assert says in said
+    assert bool(said) == bool(says)
+
+
+def test_whoever_stands_moves_no_axis_and_none_is_dead() -> None:
+    standing = [stride(0.01 * k) if k < 800 else stride(0.1) for k in range(1400)]
+    judge = Coherence("left_shank")
+    for k, v in enumerate(standing):
+        alive = 1e-3 * math.sin(1e4 * k)
+        values = (v[0] + alive, v[1] + alive, v[2] + alive, v[3] + alive, v[4] + alive, v[5] + alive)
+        t_ns = S + 10 * MS * k
+        assert judge.fault(ImuSample(t_ns, "left_shank", t_ns, values[:3], values[3:])) == ""
+
+
+def test_after_a_long_silence_what_is_usual_is_learnt_anew() -> None:
+    judge, said = Coherence("left_shank"), set[str]()
+    for begin_s, share in ((0.0, 1.0), (20.0, 0.02)):  # put on anew, it turns otherwise
+        for k in range(600):
+            t_s = begin_s + 0.01 * k
+            v = stride(t_s)
+            values = (v[0], v[1], v[2], v[3], v[4], share * v[5])
+            said.add(
+                judge.fault(ImuSample(S + round(S * t_s), "left_foot", S + round(S * t_s), values[:3], values[3:]))
+            )
+    assert said == {""}
 
 
 # --- to the digit -----------------------------------------------------------------------------------------------------

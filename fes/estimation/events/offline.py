@@ -523,11 +523,23 @@ def turned_about(
     axis: FloatArray, t_ns: IntArray, gyr_radps: FloatArray, calibration: FootCalibration
 ) -> tuple[FloatArray, FloatArray]:
     """Seconds since the first sample (N,), and how far the foot has turned about ``axis`` (3,) since then, rad."""
-    rate = (gyr_radps - np.array(calibration.gyr_bias_radps)) @ axis
-    seconds = (t_ns - t_ns[0]) / NS_PER_S
-    steps = np.diff(seconds)
-    steps[gaps_in(t_ns) - 1] = 0.0  # what it turned in a gap nobody knows
-    return seconds, np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)))
+    seconds, turned = np.empty(len(t_ns)), np.empty(len(t_ns))
+    _turn(t_ns, gyr_radps, np.array(calibration.gyr_bias_radps), axis, gaps_in(t_ns), seconds, turned)
+    return seconds, turned
+
+
+@jit_ieee
+def _turn(t_ns: Vec, gyr: Mat, bias: Vec, axis: Vec, gaps: Vec, seconds: Vec, turned: Vec) -> None:
+    """Fill the last two (N,); what it turned in a gap nobody knows."""
+    total, before, gap = 0.0, 0.0, 0
+    for i in range(t_ns.shape[0]):
+        rate = (gyr[i, 0] - bias[0]) * axis[0] + (gyr[i, 1] - bias[1]) * axis[1] + (gyr[i, 2] - bias[2]) * axis[2]
+        seconds[i] = (t_ns[i] - t_ns[0]) / NS_PER_S
+        if gap < gaps.shape[0] and gaps[gap] == i:
+            gap += 1
+        elif i > 0:
+            total += 0.5 * (rate + before) * (seconds[i] - seconds[i - 1])
+        before, turned[i] = rate, total
 
 
 def stance_instants(
@@ -552,21 +564,52 @@ def stance_instants(
     period_s = (seconds[-1] - float((seconds[gaps] - seconds[gaps - 1]).sum())) / max(len(t_ns) - 1 - len(gaps), 1)
     over, around = (max(round(span_s / period_s), 1) for span_s in (FLAT_OVER_S, AROUND_S))
     contacts, offs = np.searchsorted(t_ns, ic_ns), np.searchsorted(t_ns, fo_ns)
-    for k, (first, last) in enumerate(zip(contacts[:-1].tolist(), offs[1:].tolist(), strict=True)):
-        half = min(last - first, round(LONGEST_STANCE_S / period_s)) // 2
-        if half <= around + over or first < over or np.searchsorted(gaps, first) < np.searchsorted(gaps, last):
-            continue
-        landed, leaving = first + half, last - half
-        off, over_side = (x[first:landed] - x[landed - around : landed + around + 1].mean() for x in (pitch, roll))
-        turned = pitch[first + over : landed + over] - pitch[first - over : landed - over]
-        tilted = np.maximum(np.abs(off), np.abs(over_side)) > flat_rad
-        moving = np.flatnonzero(tilted | (np.abs(turned) > FLAT_RADPS * 2 * over * period_s))
-        heel_down = int(np.argmax(off >= -HEEL_DOWN_RAD))  # the first of them: it is so at mid-stance
-        flats[k] = t_ns[first + max(int(moving[-1]) + 1 if len(moving) else 0, heel_down)]
-        level = pitch[leaving - around : leaving + around + 1].mean()
-        down = np.flatnonzero(pitch[leaving:last] > level - rise_rad)
-        rises[k + 1] = t_ns[leaving + (int(down[-1]) if len(down) else 0)]
+    longest, slow_rad = round(LONGEST_STANCE_S / period_s), FLAT_RADPS * 2 * over * period_s
+    whole = np.diff(np.searchsorted(gaps, np.stack((contacts[:-1], offs[1:]))), axis=0)[0] == 0
+    _in_stances(
+        t_ns, pitch, roll, contacts, offs, whole, over, around, longest, flat_rad, slow_rad, rise_rad, rises, flats
+    )  # fmt: skip
     return rises, flats
+
+
+@jit_ieee
+def _in_stances(
+    t_ns: Vec, pitch: Vec, roll: Vec, contacts: Vec, offs: Vec, whole: Vec, over: int, around: int, longest: int,
+    flat_rad: float, slow_rad: float, rise_rad: float, rises: Vec, flats: Vec,
+) -> None:  # fmt: skip
+    """Fill heel rises and foot flats (K,) of the stances from contact k to foot off k + 1, rows (K,) of the others.
+
+    ``whole`` (K - 1,): without a gap. ``over`` samples before and after say how fast it turns (less than ``slow_rad``
+    in that time), ``around`` before and after are mid-stance; a stance counts up to ``longest`` samples.
+    """
+    for k in range(contacts.shape[0] - 1):
+        first, last = contacts[k], offs[k + 1]
+        half = min(last - first, longest) // 2
+        if half <= around + over or first < over or not whole[k]:
+            continue
+        level, side = _mean(pitch, first + half, around), _mean(roll, first + half, around)
+        at = first + half - 1  # back from mid-stance to where it last was tilted or moved
+        while at >= first and (
+            max(abs(pitch[at] - level), abs(roll[at] - side)) <= flat_rad
+            and abs(pitch[at + over] - pitch[at - over]) <= slow_rad
+        ):
+            at -= 1
+        down = first
+        while pitch[down] - level < -HEEL_DOWN_RAD:  # it is so no longer at mid-stance
+            down += 1
+        flats[k] = t_ns[max(at + 1, down)]
+        level, at = _mean(pitch, last - half, around), last - 1
+        while at > last - half and pitch[at] <= level - rise_rad:
+            at -= 1
+        rises[k + 1] = t_ns[at]
+
+
+@jit_ieee
+def _mean(values: Vec, middle: int, around: int) -> float:
+    total = 0.0
+    for i in range(middle - around, middle + around + 1):
+        total += values[i]
+    return total / (2 * around + 1)
 
 
 def foot_strike_angles(
