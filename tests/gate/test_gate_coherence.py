@@ -104,9 +104,7 @@ SWING_S, STANCE_AT_S = 4 * STRIDE_S + STANCE_S + 0.12, 4 * STRIDE_S + 0.2
         pytest.param(GYR, 0.05, SWING_S, "accelerometer does not feel|do not fit", STRIDE_S, id="rate stuck in swing"),
         pytest.param(GYR, 0.05, STANCE_AT_S, "gyroscope does not feel", 2 * STRIDE_S, id="rate dead in stance"),
         pytest.param((3,), 0.05, STANCE_AT_S, "gyroscope's x axis hardly", 1.6, id="an axis of rate dead"),
-        pytest.param(
-            (4,), 0.05, SWING_S, "y axis hardly|fit|does not feel", 1.6, id="main axis of rate dead"
-        ),
+        pytest.param((4,), 0.05, SWING_S, "y axis hardly|fit|does not feel", 1.6, id="main axis of rate dead"),
         *(
             pytest.param((axis,), 0.0, SWING_S, f"{'xyz'[axis % 3]} axis is frozen", 0.15, id=f"axis {axis} frozen")
             for axis in range(6)
