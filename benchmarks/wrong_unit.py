@@ -44,9 +44,10 @@ UNITS = {"g": (1 / G_MPS2, 1.0), "× 9.81": (G_MPS2, 1.0), "mg": (1000 / G_MPS2,
 
 @dataclass
 class Told:
-    """Of one set: sensors, what was said of them as they are, and by change the times until it was told (ms)."""
+    """Of one set: sensors, of how many something was said as they are and what, by change the times until told (ms)."""
 
     sensors: int = 0
+    false: int = 0
     said: set[str] = field(default_factory=set)
     times_ms: dict[str, list[float]] = field(default_factory=dict)
     before_next: list[bool] = field(default_factory=list)
@@ -123,9 +124,11 @@ def take(told: Told, track: Track, moments: int, rng: np.random.Generator) -> No
     """One sensor: as it is, then with every change at random moments."""
     up, swing, begins = swings(track)
     told.sensors += 1
-    judge = Plausibility(track.sensor, None, up)
+    judge, said = Plausibility(track.sensor, None, up), set[str]()
     for t, acc, gyr in zip(track.t_ns.tolist(), track.acc_mps2.tolist(), track.gyr_radps.tolist(), strict=True):
-        told.said |= {judge.fault(ImuSample(t, track.sensor, t, tuple(acc), tuple(gyr))), judge.not_ready} - {""}
+        said |= {judge.fault(ImuSample(t, track.sensor, t, tuple(acc), tuple(gyr))), judge.not_ready} - {""}
+    told.said |= said
+    told.false += bool(said)
     before, after = round(track.rate_hz), round(LONGEST_S * track.rate_hz)
     swing = swing[(swing > before) & (swing < len(track.t_ns) - after)]
     for at in rng.choice(swing, min(moments, len(swing)), replace=False).tolist():
@@ -171,13 +174,13 @@ def main() -> int:
     for name, told in found.items():
         cells = [f"{share(told.times_ms[kind]):.2%} {max(told.times_ms[kind]):.0f}" for kind in (*UNITS, "turned")]
         before = np.mean(told.before_next)
-        table.add_row(name, str(told.sensors), str(len(told.said)), *cells, f"{before:.1%}")
+        table.add_row(name, str(told.sensors), str(told.false), *cells, f"{before:.1%}")
     if real:
         pooled = {unit: [t for told in real for t in told.times_ms[unit]] for unit in (*UNITS, "turned")}
         shares = {unit: share(times) for unit, times in pooled.items() if unit in UNITS}
         before = np.mean([each for told in real for each in told.before_next])
         cells = [f"{share(times):.2%} {max(times):.0f}" for times in pooled.values()]
-        false = str(sum(len(told.said) for told in real))
+        false = str(sum(told.false for told in real))
         table.add_row("all real ones", str(sum(t.sensors for t in real)), false, *cells, f"{before:.1%}")
     Console(width=140).print(table)
     for name, told in found.items():
