@@ -1,15 +1,17 @@
 """Settings of the site that `make docs-site` builds from docs/."""
 
+import os
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from pages import not_run, on_source
+from pages import DATA, not_run, on_source
 from pygments.lexers.special import TextLexer
 
 from fes import __version__
 
+os.environ["FES_DATA"] = str(DATA)  # the notebooks that run look for their recordings there
 project, author, release = "fes", "the authors of fes", __version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["*.py", "site/*.py", "site/requirements.in"]

@@ -64,8 +64,7 @@ class Coherence:
         self._is_foot = sensor not in SHANK_SENSORS
         self.not_ready = ""  # while a triad is frozen
         self._t_ns = 0
-        self._same = _Same(), _Same()
-        self._axes = _SameAxis(), _SameAxis()
+        self._force_repeats, self._rate_repeats = _Repeats(), _Repeats()
         self._ranges = _Ranges()
         self._restart()
 
@@ -81,17 +80,13 @@ class Coherence:
             self._restart()
             return ""
         (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
-        force, rate = self._same
-        force_ns, rate_ns = force.lasts(sample.acc_mps2, step_ns), rate.lasts(sample.gyr_radps, step_ns)
-        frozen = "accelerometer" if force_ns >= SAME_NS > rate_ns else ""
-        frozen = "gyroscope" if rate_ns >= SAME_NS > force_ns else frozen
-        self.not_ready = f"{self._sensor}'s {frozen} is frozen: the same values, the other's change" if frozen else ""
-        if frozen:
-            return self.not_ready
-        moves = abs(x * x + y * y + z * z - G_MPS2 * G_MPS2) > 2.0 * G_MPS2 or p * p + q * q + r * r > RESTS_RADPS**2
-        for first, axes, values in ((0, self._axes[0], sample.acc_mps2), (3, self._axes[1], sample.gyr_radps)):
-            if (axis := axes.stuck(values, step_ns, moves)) >= 0:
-                return f"{self._sensor}'s {_AXES[first + axis]} is frozen: the same value, the others' change"
+        force_repeats = self._force_repeats.take(sample.acc_mps2, step_ns)
+        rate_repeats = self._rate_repeats.take(sample.gyr_radps, step_ns)
+        if force_repeats or rate_repeats:
+            if frozen := self._frozen(sample, step_ns):
+                return frozen
+        elif self.not_ready:
+            self.not_ready = ""
         self._x += x
         self._y += y
         self._z += z
@@ -101,6 +96,22 @@ class Coherence:
         self._samples += 1
         self._block_ns += step_ns
         return self._judge() if self._block_ns >= BLOCK_NS else ""
+
+    def _frozen(self, sample: ImuSample, step_ns: int) -> str:
+        """Says so when a triad repeats itself while the other does not, or an axis while the sensor moves."""
+        force, rate = self._force_repeats, self._rate_repeats
+        frozen = "accelerometer" if force.ns >= SAME_NS > rate.ns else ""
+        frozen = "gyroscope" if rate.ns >= SAME_NS > force.ns else frozen
+        self.not_ready = f"{self._sensor}'s {frozen} is frozen: the same values, the other's change" if frozen else ""
+        if frozen:
+            return self.not_ready
+        (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
+        moves = abs(x * x + y * y + z * z - G_MPS2 * G_MPS2) > 2.0 * G_MPS2 or p * p + q * q + r * r > RESTS_RADPS**2
+        if moves:
+            for first, repeats in ((0, force), (3, rate)):
+                if (axis := repeats.stuck(step_ns)) >= 0:
+                    return f"{self._sensor}'s {_AXES[first + axis]} is frozen: the same value, the others' change"
+        return ""
 
     def _restart(self) -> None:
         """Begin as if nothing had come before."""
@@ -162,14 +173,21 @@ class Coherence:
             self._unturned += 1
         if turned:
             self._rate, self._unturned = rate, 0
-        unseen, unturned = self._axis_unseen_mps2, self._axis_unturned
-        for axis in (0, 1, 2):
-            if abs(force[axis] - self._axis_force[axis]) > FORCE_MOVED_MPS2:
-                self._axis_force[axis], unseen[axis] = force[axis], 0.0
-            if abs(rate[axis] - self._axis_rate[axis]) > RATE_MOVED_RADPS:
-                self._axis_rate[axis], unturned[axis] = rate[axis], 0
+        unseen, unturned, axis_force, axis_rate = (
+            self._axis_unseen_mps2, self._axis_unturned, self._axis_force, self._axis_rate
+        )  # fmt: skip
+        axis_unseen = axis_unturned = -1
+        for axis in (2, 1, 0):
+            if not -FORCE_MOVED_MPS2 <= force[axis] - axis_force[axis] <= FORCE_MOVED_MPS2:
+                axis_force[axis], unseen[axis] = force[axis], 0.0
+            elif unseen[axis] > MOST_UNSEEN_AXIS_MPS2:
+                axis_unseen = axis
+            if not -RATE_MOVED_RADPS <= rate[axis] - axis_rate[axis] <= RATE_MOVED_RADPS:
+                axis_rate[axis], unturned[axis] = rate[axis], 0
             elif moved:
                 unturned[axis] += 1
+                if unturned[axis] > MOST_UNTURNED_AXIS:
+                    axis_unturned = axis
         sensor = self._sensor
         if self._unseen_mps2 > MOST_UNSEEN_MPS2:
             self._unseen_mps2 = 0.0
@@ -180,13 +198,12 @@ class Coherence:
         if self._smooth_rad > MOST_SMOOTH_RAD:
             self._smooth_rad = 0.0
             return f"{sensor} turns and turns without ever touching the ground: does it dangle?"
-        for axis in (0, 1, 2):
-            if unseen[axis] > MOST_UNSEEN_AXIS_MPS2:
-                unseen[axis] = 0.0
-                return f"{sensor} turns, but its {_AXES[axis]} does not feel it: stuck?"
-            if self._is_foot and unturned[axis] > MOST_UNTURNED_AXIS:
-                unturned[axis] = 0
-                return f"{sensor} is moved, but its {_AXES[3 + axis]} does not feel it: stuck?"
+        if axis_unseen >= 0:
+            unseen[axis_unseen] = 0.0
+            return f"{sensor} turns, but its {_AXES[axis_unseen]} does not feel it: stuck?"
+        if self._is_foot and axis_unturned >= 0:
+            unturned[axis_unturned] = 0
+            return f"{sensor} is moved, but its {_AXES[3 + axis_unturned]} does not feel it: stuck?"
         return ""
 
     def _gravity(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> str:
@@ -255,39 +272,45 @@ class Coherence:
         return f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
 
 
-class _Same:
-    """How long a triad has repeated itself to the bit."""
+class _Repeats:
+    """How long a triad, and each of its axes, has repeated itself to the bit."""
 
     def __init__(self) -> None:
-        self._values: Vector3 | None = None
-        self._ns = 0
-
-    def lasts(self, values: Vector3, step_ns: int) -> int:
-        """For how long it has, with these values a step later."""
-        self._ns = self._ns + step_ns if values == self._values else 0
-        self._values = values
-        return self._ns
-
-
-class _SameAxis:
-    """Which axis of a triad repeats itself to the bit while the sensor moves."""
-
-    def __init__(self) -> None:
+        self.ns = 0  # so long all three axes have
         self._values: Vector3 = (math.nan, math.nan, math.nan)
-        self._ns = [0, 0, 0]
-        self._lived = [0, 0, 0]
+        self._ns = [0, 0, 0]  # so long an axis has while the sensor moved
+        self._any, self._same = False, (False, False, False)  # which do now
+        self._all_lived, self._lived = (
+            0,
+            [0, 0, 0],
+        )  # samples in which all axes differed, and those in which only some did
         self._greatest = 0.0
 
-    def stuck(self, values: Vector3, step_ns: int, moves: bool) -> int:
-        """Its number, -1 for none, with these values a step later; ``moves``: whether the sensor does."""
-        before, self._values = self._values, values
-        for axis in (0, 1, 2):
-            value = values[axis]
-            if value != before[axis]:
+    def take(self, values: Vector3, step_ns: int) -> bool:
+        """Whether any axis does, with these values a step later."""
+        (x, y, z), (a, b, c), most = values, self._values, self._greatest
+        self._values = values
+        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+            self._greatest = max(most, abs(x), abs(y), abs(z))
+        if x != a and y != b and z != c:
+            self._all_lived += 1
+            if self._any:
+                self._any, self.ns, self._ns = False, 0, [0, 0, 0]
+            return False
+        self._any = True
+        self._same = x == a, y == b, z == c
+        self.ns = self.ns + step_ns if all(self._same) else 0
+        for axis, same in enumerate(self._same):
+            if not same:
                 self._ns[axis] = 0
                 self._lived[axis] += 1
-                self._greatest = max(self._greatest, abs(value))
-            elif moves and self._lived[axis] > LIVED and abs(value) < FULL_SCALE_SHARE * self._greatest:
+        return True
+
+    def stuck(self, step_ns: int) -> int:
+        """The number of an axis that has for too long while the sensor moved, -1 for none: of the values just taken."""
+        for axis, same in enumerate(self._same):
+            lived = self._all_lived + self._lived[axis] > LIVED
+            if same and lived and abs(self._values[axis]) < FULL_SCALE_SHARE * self._greatest:
                 self._ns[axis] += step_ns
                 if self._ns[axis] >= SAME_AXIS_NS:
                     self._ns[axis] = 0
@@ -309,31 +332,23 @@ class _Ranges:
     def restart(self) -> None:
         """Look at a stretch of its own from now on; what is usual stays."""
         self._hops: list[tuple[list[float], list[float]]] = []
-        self._begin()
-
-    def _begin(self) -> None:
-        self._least, self._most = [math.inf] * 6, [-math.inf] * 6
+        self._means: list[tuple[float, ...]] = []
         self._ns = 0
 
-    def dead(self, values: tuple[float, ...], block_ns: int) -> int:
+    def dead(self, means: tuple[float, ...], block_ns: int) -> int:
         """Take in means (6,) of force and rate; the number of a dead axis, -1 for none."""
-        least, most = self._least, self._most
-        for axis, value in enumerate(values):
-            if value < least[axis]:
-                least[axis] = value
-            if value > most[axis]:
-                most[axis] = value
+        self._means.append(means)
         self._ns += block_ns
         if self._ns < HOP_NS:
             return -1
-        self._hops = [*self._hops[1 - HOPS :], (least, most)]
-        self._begin()
+        axes = list(zip(*self._means, strict=True))
+        self._hops = [*self._hops[1 - HOPS :], ([*map(min, axes)], [*map(max, axes)])]
+        self._means, self._ns = [], 0
         return self._judge() if len(self._hops) == HOPS else -1
 
     def _judge(self) -> int:
-        ranges = [
-            max(most[axis] for _, most in self._hops) - min(least[axis] for least, _ in self._hops) for axis in range(6)
-        ]
+        least, most = zip(*self._hops, strict=True)
+        ranges = [high - low for high, low in zip(map(max, *most), map(min, *least), strict=True)]
         if not self._usual:
             if max(ranges[:3]) > MOVES_MPS2 and max(ranges[3:]) > MOVES_RADPS:
                 self._usual = ranges

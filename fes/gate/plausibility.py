@@ -69,8 +69,12 @@ class Axes:
         if before is None or not 0 < sample.t_sensor_ns - before.t_sensor_ns <= MOST_APART_NS:
             self._step = self._jump = None
             return ""
-        force = _square_apart(sample.acc_mps2, before.acc_mps2)
-        rate = _square_apart(sample.gyr_radps, before.gyr_radps)
+        (x, y, z), (a, b, c) = sample.acc_mps2, before.acc_mps2
+        x, y, z = x - a, y - b, z - c
+        force = x * x + y * y + z * z
+        (x, y, z), (a, b, c) = sample.gyr_radps, before.gyr_radps
+        x, y, z = x - a, y - b, z - c
+        rate = x * x + y * y + z * z
         self._step = (force, rate)
         if jump is None:
             # most steps are too small already if held against the least sizes, and against any other they are smaller

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes.estimation.foot.features import FootParameters, lags_at
-from fes.estimation.foot.movements import closures, contact_jumps, follow, moving_mean
+from fes.estimation.foot.movements import closures, contact_jumps, follow, moving_mean, peaks_before, quiet_ends
 from fes.estimation.numerics.filters import falls_apart
 from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.rotation import cross, without
@@ -328,8 +328,7 @@ def _walk_along(
         mids = mids[large]
         if len(mids) < MIN_STRIDES:
             return None
-        begins = np.maximum(mids - reach + 1, 0).tolist()
-        push_offs = np.array([b + int(toe_down[b : m + 1].argmax()) for b, m in zip(begins, mids, strict=True)])
+        push_offs = peaks_before(toe_down, mids, reach)
         vectors = smooth[push_offs] - smooth[mids]
         vectors -= np.outer(vectors @ up, up)
         sizes = _sizes(vectors)
@@ -346,19 +345,9 @@ def _with_spans(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Push-offs, mid-swings (K,) and spans (K, 2) from the quietest instant before to the quietest after each
     swing, without those that hold a gap; ``gaps`` (N,) counts them."""
-    reach, rows = round(REACH_S * rate_hz), []
-    farther = 1.0 + (np.arange(reach) / (FARTHER_S * rate_hz)) ** 2
-    befores, afters = np.append(0, mids[:-1]), np.append(push_offs[1:], len(unrest))
-    for k, (before, push_off, mid, after) in enumerate(zip(befores, push_offs, mids, afters, strict=True)):
-        one, two = unrest[max(before, push_off - reach) : push_off][::-1], unrest[mid : min(after, mid + reach)]
-        if len(one) > 1 and len(two) > 1:
-            first = push_off - 1 - int((one * farther[: len(one)]).argmin())
-            last = mid + int((two * farther[: len(two)]).argmin())
-            whole = first > 0 and last < len(unrest) - 1  # not cut off by the recording's end
-            if whole and STRIDE_S[0] * rate_hz <= last - first and gaps[first] == gaps[last]:
-                rows.append((k, first, last))
-    kept = np.array(rows, np.int64).reshape(-1, 3)
-    return push_offs[kept[:, 0]], mids[kept[:, 0]], kept[:, 1:]
+    limits = round(REACH_S * rate_hz), FARTHER_S * rate_hz, STRIDE_S[0] * rate_hz
+    kept, spans = quiet_ends(push_offs, mids, unrest, gaps, *limits)
+    return push_offs[kept], mids[kept], spans
 
 
 def _turned_back(travel: FloatArray, turn: FloatArray, up: FloatArray) -> FloatArray:

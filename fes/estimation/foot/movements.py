@@ -85,6 +85,49 @@ def _whole(
 
 
 @jit_ieee
+def peaks_before(x: Vec, at: Vec, reach: int) -> Vec:
+    """Where ``x`` (N,) is greatest within the ``reach`` samples that end with each of some (K,)."""
+    peaks = np.empty(len(at), np.int64)
+    for k in range(len(at)):
+        best = max(at[k] - reach + 1, 0)
+        for row in range(best, at[k] + 1):
+            if x[row] > x[best]:
+                best = row
+        peaks[k] = best
+    return peaks
+
+
+@jit_ieee
+def quiet_ends(
+    push_offs: Vec, mids: Vec, unrest: Vec, gaps: Vec, reach: int, farther: float, shortest: float
+) -> tuple[Vec, Vec]:
+    """Which swings have a span (K,), and the spans (K, 2); what lies ``farther`` off has to be half as restless."""
+    kept, spans = np.empty(len(mids), np.int64), np.empty((len(mids), 2), np.int64)
+    found = 0
+    for k in range(len(mids)):
+        begin = max(mids[k - 1] if k else 0, push_offs[k] - reach)
+        end = min(push_offs[k + 1] if k + 1 < len(mids) else len(unrest), mids[k] + reach)
+        if push_offs[k] - begin < 2 or end - mids[k] < 2:
+            continue
+        first = last = -1
+        least_first = least_last = np.inf
+        for back in range(push_offs[k] - begin):
+            weighted = unrest[push_offs[k] - 1 - back] * (1.0 + (back / farther) ** 2)
+            if weighted < least_first:
+                least_first, first = weighted, push_offs[k] - 1 - back
+        for ahead in range(end - mids[k]):
+            weighted = unrest[mids[k] + ahead] * (1.0 + (ahead / farther) ** 2)
+            if weighted < least_last:
+                least_last, last = weighted, mids[k] + ahead
+        whole = first > 0 and last < len(unrest) - 1  # not cut off by the recording's end
+        if whole and shortest <= last - first and gaps[first] == gaps[last]:
+            kept[found] = k
+            spans[found, 0], spans[found, 1] = first, last
+            found += 1
+    return kept[:found], spans[:found]
+
+
+@jit_ieee
 def _upright(
     acc: Any, first: int, last: int, qw: float, qx: float, qy: float, qz: float
 ) -> tuple[float, float, float, float, float, float]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.numerics.jit import jit_ieee
-from fes.estimation.numerics.records import Record
+from fes.estimation.numerics.records import Record, Vec
 from statemachine.guards import Features
 
 LAGS = 64  # longest look-back in samples: 10 ms at over 5 kHz
@@ -86,6 +86,12 @@ def features(state: Record) -> Features:
         resting_s,
         resting_s < LONG_REST_S and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
     )
+
+
+@jit_ieee
+def features_in(core: Vec) -> Features:
+    """The same of a core (1,), for callers that are not compiled: a record by itself takes ten times as long."""
+    return features(core[0].state)
 
 
 @jit_ieee

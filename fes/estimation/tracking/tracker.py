@@ -8,13 +8,14 @@ The last twenty seconds of one sensor: which samples are used, and where strides
 
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit_ieee
 from fes.estimation.numerics.records import Mat, Record, Vec, fill, record_type, struct_of
-from fes.estimation.tracking.phase_features import MEASURES, features
+from fes.estimation.tracking.phase_features import MEASURES, features_in
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine
@@ -242,7 +243,9 @@ class Tracker(ABC):
         self._restarts = 0
         self._sample, self._core, self._state = live["sample"], live["core"], live["core"]["state"][0]
         self._bytes = live.view(np.uint8).data
-        self._fired = NEVER_NS, features(self._core[0].state), Thresholds()
+        limits = self._core["thresholds"]
+        self._limits = partial(struct_of(limits.dtype).unpack_from, limits.view(np.uint8).data)
+        self._fired = NEVER_NS, features_in(self._core), Thresholds()
 
     @property
     def phase(self) -> Phase:
@@ -277,7 +280,7 @@ class Tracker(ABC):
     @property
     def thresholds(self) -> Thresholds:
         """The guards' thresholds now: this person's measures follow the strides."""
-        return Thresholds._make(self._core["thresholds"][0].item())
+        return Thresholds._make(self._limits())
 
     @property
     def measures(self) -> dict[str, float]:
@@ -291,7 +294,7 @@ class Tracker(ABC):
     def _fire(self, number: int) -> PhaseChange:
         """Take the machine through what the compiled guards let pass at the newest sample."""
         t_ns = int(self._state["t_ns"])
-        _, seen, limits = self._fired = t_ns, features(self._core[0].state), self.thresholds
+        _, seen, limits = self._fired = t_ns, features_in(self._core), self.thresholds
         return self.machine.fire(TRANSITIONS[number], t_ns, seen, limits)
 
     def seen(self) -> tuple[Features, Thresholds]:
@@ -299,7 +302,7 @@ class Tracker(ABC):
         t_ns, fired, limits = self._fired
         if t_ns == int(self._state["t_ns"]):
             return fired, limits
-        return features(self._core[0].state), self.thresholds
+        return features_in(self._core), self.thresholds
 
     def _restart(self, t_ns: int) -> list[PhaseChange]:
         """Begin anew in stance with the sample of this time: the change, if there was anything before."""
