@@ -80,8 +80,8 @@ class Coherence:
             self._restart()
             return ""
         (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
-        force_repeats = self._force_repeats.take(sample.acc_mps2, step_ns)
-        rate_repeats = self._rate_repeats.take(sample.gyr_radps, step_ns)
+        force_repeats = self._force_repeats.observe(sample.acc_mps2, step_ns)
+        rate_repeats = self._rate_repeats.observe(sample.gyr_radps, step_ns)
         if force_repeats or rate_repeats:
             if frozen := self._frozen(sample, step_ns):
                 return frozen
@@ -286,7 +286,7 @@ class _Repeats:
         )  # samples in which all axes differed, and those in which only some did
         self._greatest = 0.0
 
-    def take(self, values: Vector3, step_ns: int) -> bool:
+    def observe(self, values: Vector3, step_ns: int) -> bool:
         """Whether any axis does, with these values a step later."""
         (x, y, z), (a, b, c), most = values, self._values, self._greatest
         self._values = values

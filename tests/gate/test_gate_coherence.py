@@ -131,6 +131,18 @@ def test_a_force_that_is_scaled_is_told_within_two_strides(factor: float) -> Non
     assert after_s <= 2 * STRIDE_S
 
 
+def test_a_triad_that_lives_again_is_ready_again() -> None:
+    judge, freeze = Coherence("left_foot"), stuck(ACC, 0.0, 1.0)
+    ready = []
+    for k in range(300):
+        t_s = 0.01 * k
+        values = freeze(stride(t_s), t_s) if 1.0 <= t_s < 1.2 else stride(t_s)
+        judge.fault(ImuSample(S + k * 10_000_000, "left_foot", S + k * 10_000_000, values[:3], values[3:]))
+        ready.append(not judge.not_ready)
+    assert not ready[115]
+    assert all(ready[121:])
+
+
 def pendulum(t_s: float, swings: float) -> Six:
     tilt, turn = 0.7 * math.sin(swings * t_s), 0.7 * swings * math.cos(swings * t_s)
     noise = 0.02 * math.sin(9e4 * t_s)
@@ -156,6 +168,7 @@ def test_what_repeats_itself_at_full_scale_or_from_the_start_is_not_frozen() -> 
     assert "frozen" not in walk(planar, sensor="left_shank")[0]
 
 
+@pytest.mark.requirement("SR-10")
 @pytest.mark.parametrize(("turns", "says"), [(0.6, ""), (0.02, "z axis hardly moves")])
 def test_an_axis_may_move_less_but_not_by_nothing(turns: float, says: str) -> None:
     """As feet do that no longer turn about an axis; seven per cent of the usual is the bound."""
