@@ -49,6 +49,7 @@ MOVES_MPS2, MOVES_RADPS = 4.0, 1.5  # the usual range begins with the first that
 OTHERS_MOVE: Final = 0.5  # of their usual range, in the middle of all axes
 LEAST_SHARE: Final = 0.07  # of an axis' usual range against the other axes' share; real: 0.139, simulated turns 0.105
 FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
+NONE_SAME: Final = (False, False, False)
 _AXES: Final = tuple(f"{triad}'s {axis} axis" for triad in ("accelerometer", "gyroscope") for axis in "xyz")
 
 
@@ -279,7 +280,7 @@ class _Repeats:
         self.ns = 0  # so long all three axes have
         self._values: Vector3 = (math.nan, math.nan, math.nan)
         self._ns = [0, 0, 0]  # so long an axis has while the sensor moved
-        self._any, self._same = False, (False, False, False)  # which do now
+        self._same = NONE_SAME  # which do now
         self._all_lived, self._lived = (
             0,
             [0, 0, 0],
@@ -294,10 +295,9 @@ class _Repeats:
             self._greatest = max(most, abs(x), abs(y), abs(z))
         if x != a and y != b and z != c:
             self._all_lived += 1
-            if self._any:
-                self._any, self.ns, self._ns = False, 0, [0, 0, 0]
+            if self._same != NONE_SAME:
+                self._same, self.ns, self._ns = NONE_SAME, 0, [0, 0, 0]
             return False
-        self._any = True
         self._same = x == a, y == b, z == c
         self.ns = self.ns + step_ns if all(self._same) else 0
         for axis, same in enumerate(self._same):

@@ -236,7 +236,10 @@ AT_RANGE: Final = 0.995  # of the range that the session states
 REST_RATE_RADPS: Final = 0.5
 REST_FORCE_MPS2: Final = 1.5  # of gravity
 MOST_TILT_RAD: Final = math.radians(65)  # at rest, from where it was at calibration; real feet reach 23°, shanks 30°
-MEAN_NS: Final = 300_000_000  # gravity shows through a walk: the mean force of real legs tilts by 55° at most
+MEAN_NS: Final = 300_000_000  # gravity shows through a walk: the mean force of real legs tilts by 53° at most …
+MOST_IN_MEAN_MPS2: Final = (
+    2.0 * G_MPS2
+)  # … a sample's counting as this at most: a stumble shakes a foot by ten times gravity
 MOST_STEP_NS: Final = 40_000_000  # one sample after a silence does not stand for all of it
 _TILT: Final = f"{math.degrees(MOST_TILT_RAD):.0f}°"
 _UPRIGHT: Final = math.cos(MOST_TILT_RAD)
@@ -290,7 +293,7 @@ class Plausibility:
         fast = self._fast.lasts(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.lasts(t_ns, at_range)
         tilted = self._tilted.lasts(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
-        moves_tilted = self._moves_tilted(x, y, z, t_ns)
+        moves_tilted = self._moves_tilted(x, y, z, force_mps2, t_ns)
         does = "rests" if tilted else "moves" if moves_tilted else ""
         self.not_ready = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
         self.not_ready = self.not_ready or self._coherence.not_ready
@@ -312,7 +315,7 @@ class Plausibility:
         ux, uy, uz = self._up
         return x * ux + y * uy + z * uz < force_mps2 * _UPRIGHT
 
-    def _moves_tilted(self, x: float, y: float, z: float, t_ns: int) -> bool:
+    def _moves_tilted(self, x: float, y: float, z: float, force_mps2: float, t_ns: int) -> bool:
         """Whether the force, averaged over about 0.3 s, comes from elsewhere than gravity does in anybody's gait.
 
         A stance need not hold a rest: of stroke survivors' shanks, most do not.
@@ -326,6 +329,9 @@ class Plausibility:
         elif step_ns < 0:
             step_ns = 0
         share = step_ns / MEAN_NS
+        if force_mps2 > MOST_IN_MEAN_MPS2:
+            most = MOST_IN_MEAN_MPS2 / force_mps2
+            x, y, z = most * x, most * y, most * z
         (mx, my, mz), (ux, uy, uz) = self._mean_mps2, self._up
         mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
         size = math.sqrt(mx * mx + my * my + mz * mz)

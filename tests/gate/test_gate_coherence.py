@@ -143,6 +143,19 @@ def test_a_triad_that_lives_again_is_ready_again() -> None:
     assert all(ready[121:])
 
 
+def test_single_repeats_of_now_one_triad_now_the_other_are_no_frozen_axis() -> None:
+    """A converter of few bits repeats a value now and then; what repeated once and then went on is not counted again."""
+    judge = Coherence("left_foot")
+    values = stride(0.0)
+    for k in range(400):
+        before, values = values, stride(0.01 * k)
+        a = list(values)
+        for axis in (3, 5) if k % 2 else (1,) if k == 200 else ():
+            a[axis] = before[axis]
+        values = (a[0], a[1], a[2], a[3], a[4], a[5])
+        assert not judge.fault(ImuSample(S + k * 10_000_000, "left_foot", S + k * 10_000_000, values[:3], values[3:]))
+
+
 def pendulum(t_s: float, swings: float) -> Six:
     tilt, turn = 0.7 * math.sin(swings * t_s), 0.7 * swings * math.cos(swings * t_s)
     noise = 0.02 * math.sin(9e4 * t_s)
