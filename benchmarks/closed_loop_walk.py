@@ -14,7 +14,17 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
 from fes.gate.gate import gate_of
 from fes.recording import Track
-from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult, Tick
+from fes.signals import (
+    NS_PER_S,
+    Event,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimCommand,
+    StimStatus,
+    StrideResult,
+    Tick,
+)
 from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
 from fes.stimulation.tuning.tuner import TuningReport
 
@@ -67,6 +77,7 @@ class Walk:
     charge_uc: float
     controller: Controller
     pulses: list[DeliveredPulse] = field(default_factory=list)
+    put_back: int = 0  # heels lifted and put back (T5)
 
 
 def calibration_of(settings: PatientSettings) -> FootCalibration:
@@ -87,6 +98,7 @@ def walk(
     strides: int,
     during: Callable[[VirtualPatient, int], None] | None = None,
     lost: Callable[[int], bool] | None = None,
+    seen: Callable[[ImuSample], ImuSample] | None = None,
 ) -> Walk:
     """Walk until ``strides`` of the affected foot or ``seconds`` are over.
 
@@ -98,6 +110,7 @@ def walk(
         strides: at most.
         during: called every step with the patient and the time in ns, to do something to it.
         lost: whether what the sensor says at a time in ns is lost.
+        seen: what becomes of a sample that is not.
     """
     patient, foot = VirtualPatient(settings), settings.affected_foot
     calibrations: dict[str, Calibration] = {foot: calibration}
@@ -115,7 +128,11 @@ def walk(
             if command.refused and "not armed" not in command.refused:
                 done.refused.add(command.refused)
         done.reports.extend(decision.reports)
-        done.measured.extend(outcome for outcome in decision.outcomes if isinstance(outcome, StrideResult))
+        for outcome in decision.outcomes:
+            if isinstance(outcome, StrideResult):
+                done.measured.append(outcome)
+            elif outcome.transition == "T5":
+                done.put_back += 1
 
     armed, t_ns = False, 0
     while t_ns < seconds * NS_PER_S and len(done.strides) < strides:
@@ -125,7 +142,7 @@ def walk(
         done.pulses += pulses
         for sample in patient.advance(t_ns, pulses):
             if sample.sensor == foot and not (lost and lost(sample.t_ns)):
-                handle(sample)
+                handle(seen(sample) if seen else sample)
         handle(Tick(t_ns))
         if during:
             during(patient, t_ns)

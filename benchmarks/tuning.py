@@ -1,153 +1,362 @@
-"""Stimulation that tunes itself against fixed stimulation, on virtual patients with a drop foot.
+"""Stimulation that tunes itself against fixed timing set that day, on virtual patients with a drop foot.
 
-    python benchmarks/tuning.py --first 0 --patients 100 --results dev.jsonl    # 5 s a patient
-    python benchmarks/tuning.py --first 100 --patients 100 --results held.jsonl
-    python benchmarks/tuning.py --tables dev.jsonl held.jsonl --write docs/tuning.md
-    python benchmarks/tuning.py --first 300 --patients 40 --measured            # how the target is to be set
-    python benchmarks/tuning.py --days 20 --seeds 520 560 567 587               # the same people on other days
+    python benchmarks/tuning.py --first 12000 --patients 50                         # an ordinary day, and from 10 mA
+    python benchmarks/tuning.py --first 12000 --patients 50 --scenarios slip slow   # what happens, and to whom
+    python benchmarks/tuning.py --first 12000 --patients 50 --scenarios all --write docs/tuning.md
+    python benchmarks/tuning.py --first 300 --patients 40 --measured                # how the target is to be set
 
-Each patient (:mod:`tuning_cohort`) walks the same walk with no stimulation, with fixed stimulation from heel rise to
-contact as a foot switch times it, with the fixed phase-triggered trapezoid, and tuned from there run-to-run and by
-learning. The fixed current, from which the tuned walks begin, is what a clinic would have set once for this patient.
-What counts is the patient's true toe clearance, not the measured one. A patient can reach the band if one of the
-methods, or a fixed current within the bounds, keeps at least four of five strides in it. Results are kept by patient,
-so that an interrupted run goes on where it was.
+Each patient (:mod:`tuning_cohort`) walks with no stimulation, with *fixed timing* (heel rise to contact, as a foot
+switch times it) and tuned, run-to-run and by learning. The fixed current is what a competent user sets for this patient
+with the electrodes of this day: raised until the toe clears and the heel comes first, and a fifth on top. The tuned
+walks begin there too, but where a scenario begins at 10 mA. What counts is the patient's true toe clearance, never the
+measured one. A stride is low that clears the ground by less than the band's low end.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from statistics import median, quantiles
+from random import Random
+from statistics import fmean, median, quantiles
 from typing import Any
 
-from closed_loop_walk import Walk, calibration_of, walk
+from closed_loop_walk import Walk, walk
+from scipy.spatial.transform import Rotation
+from scipy.stats import fisher_exact
 from tuning_cohort import BAND_MM, MOST_MA, PITCH_DEG, WIDTH_US, channel_of, clinic_ma, patient, session_with
-from tuning_days import day_line, days_table
-from tuning_table import LAST, write_tables
 
 from fes.config import FootGeometry, Session
-from fes.estimation.foot.calibration import FootCalibration
+from fes.signals import NS_PER_S, ImuSample
 from fes.simulation.forward import PatientSettings, VirtualPatient
+from fes.simulation.forward.gait_patterns import PATTERNS
 
-STRIDES, SECONDS = 45, 240.0
-EVERYBODY_MA = 30.0
-METHODS = ("none", "foot switch", "phase", "run-to-run", "learning")
+STRIDES, SECONDS, LAST = 45, 300.0, 20
+EVERYBODY_MA, LOW_START_MA = 30.0, 10.0
+METHODS = {"none": "none", "fixed": "fixed timing", "run-to-run": "run-to-run", "learning": "learning"}
 TUNED = ("run-to-run", "learning")
-COMPARED = ("foot switch", *TUNED)
-GRID_MA = (14.0, 18.0, 22.0, 26.0, 34.0, 40.0)
 MEASURED_HIGHER_MM = 6.0  # for three of four patients at most (--measured): the target allows for it
-OTHER_DAY = 500_000  # added to a patient's seed: the same person, other strides
 REACHED = 4  # of 5 strides in a row in the band
+SOON = 5  # strides after a fault
 SAME_CONTACT_NS = 200_000_000
+FAULT_STRIDE = 18
+BEGIN, END = "<!-- tuning results: benchmarks/tuning.py -->", "<!-- end of tuning results -->"
 
 
-def tuning_of(method: str, current_ma: float) -> dict[str, Any]:
-    """The tuned channel's settings: charges of 3–12 µC a pulse, as 10–40 mA or, at ``current_ma``, as widths."""
+# --- what is asked of whom ------------------------------------------------------------------------------------
+
+
+@dataclass
+class Event:
+    """Things that happen to a patient: each at a stride of the affected foot, as that foot leaves the ground."""
+
+    acts: dict[int, Callable[[VirtualPatient], None]]
+    times_ns: list[int] = field(default_factory=list)
+
+    def during(self, one: VirtualPatient, t_ns: int) -> None:
+        """Called every step."""
+        if len(self.times_ns) == len(self.acts):
+            return
+        foot, due = one.settings.affected_foot, list(self.acts)[len(self.times_ns)]
+        walked = sum(stride.foot == foot for stride in one.strides)
+        if walked >= due and one.events and (one.events[-1].kind, one.events[-1].foot) == ("foot_off", foot):
+            self.times_ns.append(t_ns)
+            self.acts[due](one)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """``who`` walks instead of the drawn patient, ``acts`` happen by stride, ``fault``: they are one to be named."""
+
+    text: str
+    who: Callable[[PatientSettings], PatientSettings] = lambda settings: settings
+    acts: dict[int, Callable[[VirtualPatient], None]] = field(default_factory=dict)
+    fault: bool = False
+    from_low: bool = False
+    strides: int = STRIDES
+    fades_to: float = 1.0  # of the muscle's strength, evenly over the whole walk
+    geometry_m: float = 0.0
+    turned_deg: float = 0.0
+    dropouts: float = 0.0
+
+
+def _muscle(settings: PatientSettings, *, torque: float = 1.0, delay: float = 1.0, fatigue: float = 1.0) -> Any:
+    muscle = settings.muscle
+    return replace(
+        settings,
+        muscle=replace(
+            muscle,
+            max_torque_nm=torque * muscle.max_torque_nm,
+            delay_s=delay * muscle.delay_s,
+            fatigue_s=muscle.fatigue_s / fatigue,
+        ),
+    )
+
+
+def _slow(settings: PatientSettings) -> PatientSettings:
+    """One of the five hemiparetic walks of Wang et al., in turn, at its own speed."""
+    name = f"hemiparetic_{1 + settings.seed % 5}"
+    return replace(settings, pattern=name, speed_mps=PATTERNS[name].speed_mps)
+
+
+def _electrode(share: float) -> Callable[[VirtualPatient], None]:
+    return lambda one: one.set_electrode_quality(share * one.settings.electrode_quality)
+
+
+def _belt(speed_mps: float) -> Callable[[VirtualPatient], None]:
+    return lambda one: one.set_speed(speed_mps)
+
+
+SCENARIOS = {
+    "day": Scenario("an ordinary day"),
+    "low": Scenario("from 10 mA", from_low=True),
+    "slip": Scenario("electrode slips to 70 %", acts={FAULT_STRIDE: _electrode(0.7)}, fault=True),
+    "slow": Scenario("Wang's five walks, 0.21–0.35 m/s", _slow),
+    "tires": Scenario("strength falls to 60 % in 20 minutes", strides=900, fades_to=0.6),
+    "half": Scenario("electrode to 50 % and back", acts={18: _electrode(0.5), 30: _electrode(1.0)}, fault=True),
+    "weak": Scenario("muscle's gain × 0.4", partial(_muscle, torque=0.4)),
+    "strong": Scenario("muscle's gain × 2.5", partial(_muscle, torque=2.5)),
+    "late": Scenario("muscle's delay × 1.6", partial(_muscle, delay=1.6)),
+    "fatigue": Scenario("tires three times as fast", partial(_muscle, fatigue=3.0)),
+    "speeds": Scenario(
+        "belt 0.4 → 1.0 m/s → stop → on", lambda settings: replace(settings, speed_mps=0.4),
+        {15: _belt(1.0), 30: lambda one: one.stop()},
+    ),
+    "sensor+": Scenario("sensor turned by 20°", acts={}, turned_deg=20.0),
+    "sensor-": Scenario("sensor turned by −20°", acts={}, turned_deg=-20.0),
+    "dropouts": Scenario("2 % of the samples lost", dropouts=0.02),
+    "geometry": Scenario("toe 20 mm nearer than the session says", geometry_m=0.02),
+}  # fmt: skip
+
+
+def tuning_of(method: str, rate_ma: float = 2.0) -> dict[str, Any]:
+    """The tuned channel's settings: charges of 3–12 µC a pulse, and ``rate_ma`` a stride, as current or as width."""
     low, high = (1e-3 * (edge + MEASURED_HIGHER_MM) for edge in BAND_MM)
     return {
         "mode": "act", "method": method.replace("-", "_"), "timing": True,
         "toe_clearance_m": {"low": low, "high": high},
         "pitch_at_contact_deg": {"low": PITCH_DEG[0], "high": PITCH_DEG[1]},
+        "max_change_ma": rate_ma, "max_change_us": max(round(rate_ma * WIDTH_US / MOST_MA), 20),
         "bounds": {
             "current_ma": {"low": 10.0, "high": MOST_MA},
-            "pulse_width_us": {"low": 3000.0 / MOST_MA, "high": 12000.0 / current_ma},
+            "pulse_width_us": {"low": 3000.0 / MOST_MA, "high": 12000.0 / MOST_MA},
             "start_delay_s": {"low": 0.0, "high": 0.4}, "extension_s": {"low": -0.1, "high": 0.1},
         },
     }  # fmt: skip
 
 
-def session_of(geometry: FootGeometry, method: str, current_ma: float = EVERYBODY_MA) -> Session:
+def session_of(geometry: FootGeometry, method: str, current_ma: float = EVERYBODY_MA, rate_ma: float = 2.0) -> Session:
     """A method's session at this current."""
     if method == "none":
         return session_with(geometry)
-    if method in TUNED:
-        if method == "learning":  # the same charge at the greatest current, so that widths have the same range
-            width_us = round(WIDTH_US * current_ma / MOST_MA)
-            return session_with(geometry, channel_of(MOST_MA, width_us, tuning=tuning_of(method, MOST_MA)))
-        return session_with(geometry, channel_of(current_ma, tuning=tuning_of(method, MOST_MA)))
-    return session_with(geometry, channel_of(current_ma, extension_s=0.0 if method == "foot switch" else 0.06))
+    if method == "fixed":
+        return session_with(geometry, channel_of(current_ma, extension_s=0.0))
+    if method == "learning":  # the same charge at the greatest current, so that widths have the same range
+        width_us = round(WIDTH_US * current_ma / MOST_MA)
+        return session_with(geometry, channel_of(MOST_MA, width_us, tuning=tuning_of(method, rate_ma)))
+    return session_with(geometry, channel_of(current_ma, tuning=tuning_of(method, rate_ma)))
+
+
+# --- what came of it ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Result:
-    """Of one walk: shares 0–1, charge per stride, strides until the band was reached (None: never)."""
+    """Of one walk; strides from the first that could have stimulation. ``converged``: strides until the band."""
 
-    in_band: float
-    later: float
-    at_the_end: float
-    heel_first: float
+    inside: list[bool]
     stumbles: int
     drags: int
-    strides: int
     charge_uc: float
+    heel_first: float
     converged: int | None
-    roll_backs: int
-    stopped: str
+    put_back: int  # T5: heels lifted and put back
+    self_stopped: bool
+    over: str  # a bound or a limit of the channel
+    latched: str
+    low_after: int  # of the twelve strides from the fault on, low
+    lowered_after: bool  # the tuning lowered the drive in the five strides after the fault
+    named_after: int | None  # strides from the fault until it was named
+    named_falsely: Counter[str]
+    end_ma: float
 
 
-def judge(done: Walk) -> Result:
-    """Stride 0 is the first that had stimulation, as far as there is any."""
+def over(done: Walk, session: Session) -> str:
+    """What went over a bound or limit, in words; "" when nothing did."""
+    if not session.channels:
+        return ""
+    channel = session.channels[0]
+    bounds, limits, said = channel.tuning.bounds if channel.tuning else None, channel.limits, []
+    if bounds is not None:
+        for report in done.reports:
+            settings = report.after
+            values = [(settings.current_ma, bounds.current_ma), (settings.start_delay_s, bounds.start_delay_s)]
+            values += [(settings.extension_s, bounds.extension_s)]
+            values += [(width, bounds.pulse_width_us) for width in settings.widths_us]
+            if any(not edge.low - 1e-9 <= value <= edge.high + 1e-9 for value, edge in values):
+                said.append("a setting beyond the bounds")
+                break
+    if any(pulse.charge_uc > limits.max_charge_per_phase_uc + 1e-9 for pulse in done.pulses):
+        said.append("a pulse over the charge limit")
+    first, total = 0, 0.0
+    for pulse in done.pulses:
+        total += pulse.charge_uc
+        while done.pulses[first].t_ns < pulse.t_ns - 60 * NS_PER_S:
+            total -= done.pulses[first].charge_uc
+            first += 1
+        if total > 1e3 * limits.max_charge_per_minute_mc + 1e-6:
+            said.append("a minute over the charge limit")
+            break
+    return "; ".join(said)
+
+
+def judge(done: Walk, session: Session, faults_ns: Sequence[int] = ()) -> Result:
+    """Hold a walk's true strides against the band."""
     first = next((n for n, one in enumerate(done.strides) if one.charge_uc > 0.0), 3)
     strides = done.strides[first:]
     inside = [BAND_MM[0] <= 1e3 * one.toe_clearance_m <= BAND_MM[1] for one in strides]
-    converged = next((n for n in range(len(inside) - 4) if sum(inside[n : n + 5]) >= REACHED), None)
-    later = inside[10:]
+    named = [report for report in done.reports if report.kind == "fault"]
+    low, lowered, after = 0, False, None
+    if faults_ns:
+        at_ns = faults_ns[0]
+        later = [one for one in strides if one.t_contact_ns > at_ns]
+        low = sum(1e3 * one.toe_clearance_m < BAND_MM[0] for one in later[:12])
+        until_ns = later[min(SOON, len(later) - 1)].t_flat_ns
+        lowered = any(
+            report.after.current_ma < report.before.current_ma
+            or max(report.after.widths_us) < max(report.before.widths_us)
+            for report in done.reports
+            if report.kind in ("change", "roll_back", "fault") and at_ns < report.t_ns <= until_ns
+        )
+        names = [report for report in named if report.t_ns > at_ns]
+        if names:
+            after = sum(one.t_flat_ns <= names[0].t_ns for one in later)
+    false = [report for report in named if not any(0 < report.t_ns - at < 20 * NS_PER_S for at in faults_ns)]
     return Result(
-        sum(inside) / max(len(inside), 1),
-        sum(later) / max(len(later), 1),
-        sum(inside[-LAST:]) / max(len(inside[-LAST:]), 1),
-        sum(57.2958 * one.pitch_at_contact_rad >= PITCH_DEG[0] for one in strides) / max(len(strides), 1),
+        inside,
         sum(one.stumbled for one in strides),
         sum(one.dragged for one in strides),
-        len(strides),
         sum(one.charge_uc for one in strides) / max(len(strides), 1),
-        converged,
-        sum(report.kind == "roll_back" for report in done.reports),
-        done.latched or "; ".join(sorted(done.refused)),
+        fmean(57.2958 * one.pitch_at_contact_rad >= PITCH_DEG[0] for one in strides) if strides else 0.0,
+        next((n for n in range(len(inside) - 4) if sum(inside[n : n + 5]) >= REACHED), None),
+        done.put_back,
+        any("tuning has stopped" in report.text or "stopped itself" in report.text for report in done.reports),
+        over(done, session),
+        done.latched,
+        low,
+        lowered,
+        after,
+        Counter(report.text.split(":")[0] for report in false),
+        done.reports[-1].after.current_ma if done.reports else 0.0,
     )
 
 
-def can_reach(settings: PatientSettings, geometry: FootGeometry, calibration: FootCalibration) -> bool:
-    """Whether a fixed current keeps at least four of five strides in the band."""
-    return any(
-        max(done.later, done.in_band) >= 0.8
-        for done in (
-            judge(walk(settings, session_of(geometry, "phase", ma), calibration, SECONDS, 18)) for ma in GRID_MA
-        )
-    )
-
-
-def one_patient(seed: int, methods: Sequence[str] = METHODS, known: dict[str, Any] | None = None) -> dict[str, Any]:
-    """All walks of one patient; of ``known`` results only those of ``methods`` are made anew."""
-    settings, calibration, passed_over = patient(seed)
+def one_walk(
+    settings: PatientSettings, calibration: Any, scenario: Scenario, method: str, clinic: float, rate_ma: float
+) -> Result:
+    """One patient, one method, one scenario."""
     geometry = VirtualPatient(settings).geometry["right_foot"]
-    clinic = known["clinic_ma"] if known else clinic_ma(settings, geometry, calibration)
-    results = {method: Result(**values) for method, values in known["results"].items()} if known else {}
-    for method in methods:
-        results[method] = judge(walk(settings, session_of(geometry, method, clinic), calibration, SECONDS, STRIDES))
-    other = replace(settings, seed=settings.seed + OTHER_DAY)
-    again = judge(walk(other, session_of(geometry, "foot switch", clinic), calibration_of(other), SECONDS, STRIDES))
-    reach = max(one.later for one in results.values()) >= 0.8 or can_reach(settings, geometry, calibration)
-    return {
-        "seed": seed,
-        "passed_over": passed_over,
-        "speed_mps": settings.speed_mps,
-        "clinic_ma": clinic,
-        "reach": reach,
-        "another_day": again.at_the_end,
-        "results": {method: asdict(one) for method, one in results.items()},
-    }
+    told = geometry.model_copy(update={"toe_forward_m": geometry.toe_forward_m + scenario.geometry_m})
+    session = session_of(told, method, LOW_START_MA if scenario.from_low and method in TUNED else clinic, rate_ma)
+    event, chance = Event(scenario.acts), Random(settings.seed)
+    seconds = max(SECONDS, 2.5 * scenario.strides)
+    turn = Rotation.from_euler("y", scenario.turned_deg, degrees=True)
+
+    def during(one: VirtualPatient, t_ns: int) -> None:
+        event.during(one, t_ns)
+        if not one.walking and event.times_ns and t_ns > event.times_ns[-1] + 8 * NS_PER_S:
+            one.walk()
+        if scenario.fades_to < 1.0:
+            walked = sum(stride.foot == "right_foot" for stride in one.strides[-1:]) and len(one.strides) / 2
+            left = 1.0 - (1.0 - scenario.fades_to) * min(walked / scenario.strides, 1.0)
+            if one.fitness > left:
+                one.set_fitness(left)
+
+    def turned(sample: ImuSample) -> ImuSample:
+        if not scenario.turned_deg or not event_passed(sample.t_ns):
+            return sample
+        acc, gyr = turn.apply([sample.acc_mps2, sample.gyr_radps])
+        return replace(sample, acc_mps2=tuple(acc), gyr_radps=tuple(gyr))
+
+    def event_passed(t_ns: int) -> bool:
+        return t_ns > 30 * NS_PER_S
+
+    lost = (lambda _: chance.random() < scenario.dropouts) if scenario.dropouts else None
+    done = walk(settings, session, calibration, seconds, scenario.strides, during, lost, turned)
+    return judge(done, session, event.times_ns if scenario.fault else ())
+
+
+def one_patient(seed: int, scenario: Scenario, methods: Sequence[str], rate_ma: float) -> dict[str, Result]:
+    """A patient of the cohort walks one scenario with each method."""
+    settings, calibration, _ = patient(seed, scenario.who)
+    clinic = clinic_ma(settings, VirtualPatient(settings).geometry["right_foot"], calibration)
+    return {method: one_walk(settings, calibration, scenario, method, clinic, rate_ma) for method in methods}
+
+
+def worse(tuned: Result, fixed: Result) -> bool:
+    """Whether fewer of the last strides lie in the band than with fixed timing, by more than chance (Fisher, 5 %)."""
+    counts = [(sum(one.inside[-LAST:]), len(one.inside[-LAST:])) for one in (tuned, fixed)]
+    return bool(fisher_exact([[a, n - a] for a, n in counts], alternative="less").pvalue < 0.05)
+
+
+HEAD = (
+    "| scenario | method | µC a step | in the band | after stride 10 | stumbles | drags | T5 | in the band within 6 "
+    "strides | self-stops | over a bound | latched | worse than fixed | named falsely per 1,000 |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
+    """A scenario's lines, one a method."""
+    lines, people = [], len(every)
+    for method in every[0]:
+        mine = [one[method] for one in every]
+        strides = sum(len(one.inside) for one in mine)
+        tuned = method in TUNED
+        cells = [
+            SCENARIOS[name].text,
+            METHODS[method],
+            f"{median(one.charge_uc for one in mine):.0f}",
+            f"{sum(sum(one.inside) for one in mine) / max(strides, 1):.1%}",
+            f"{sum(sum(one.inside[10:]) for one in mine) / max(sum(len(one.inside[10:]) for one in mine), 1):.1%}",
+            str(sum(one.stumbles for one in mine)),
+            str(sum(one.drags for one in mine)),
+            str(sum(one.put_back for one in mine)),
+            f"{sum(one.converged is not None and one.converged <= 6 for one in mine)} of {people}",
+            str(sum(one.self_stopped for one in mine)) if tuned else "",
+            str(sum(bool(one.over) for one in mine)),
+            str(sum(bool(one.latched) for one in mine)),
+            str(sum(worse(one[method], one["fixed"]) for one in every)) if tuned and "fixed" in every[0] else "",
+            f"{1e3 * sum(sum(one.named_falsely.values()) for one in mine) / max(strides, 1):.2f}" if tuned else "",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def fault_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
+    """How a fault was answered, one line a tuned method."""
+    people = len(every)
+    lines = []
+    for method in (method for method in every[0] if method != "none"):
+        mine = [one[method] for one in every]
+        named = sum(one.named_after is not None and one.named_after <= SOON for one in mine)
+        lines.append(
+            f"- {SCENARIOS[name].text}, {METHODS[method]}: at most 3 low strides in "
+            f"{sum(one.low_after <= 3 for one in mine)} of {people} "
+            f"(mean {fmean(one.low_after for one in mine):.1f}); lowered within five strides in "
+            f"{sum(one.lowered_after for one in mine)}; named within five strides in {named}"
+        )
+    return lines
 
 
 def measured_higher_mm(seed: int) -> float:
     """How far the live toe clearance lies above the true one under fixed stimulation, median of a patient's strides."""
     settings, calibration, _ = patient(seed)
     geometry = VirtualPatient(settings).geometry["right_foot"]
-    session = session_of(geometry, "phase", clinic_ma(settings, geometry, calibration))
+    session = session_of(geometry, "fixed", clinic_ma(settings, geometry, calibration))
     done = walk(settings, session, calibration, SECONDS, 20)
     differ = []
     for one in done.measured:
@@ -159,79 +368,51 @@ def measured_higher_mm(seed: int) -> float:
     return median(differ)
 
 
-def on_other_days(seed: int, days: int, *, stale: bool = False) -> dict[str, Any]:
-    """How one patient ends, with fixed timing and tuned, on so many days: the same person, other strides.
-
-    Calibrated anew each day, as at the beginning of every session: sensors are put on again, and their biases drift.
-    ``stale``: with the calibration of another day instead. By method the shares of each day's last strides in the band,
-    and of all whose heel comes first.
-    """
-    settings, calibration, _ = patient(seed)
-    geometry = VirtualPatient(settings).geometry["right_foot"]
-    clinic = clinic_ma(settings, geometry, calibration)
-    ends: dict[str, list[float]] = {method: [] for method in COMPARED}
-    heels: dict[str, list[float]] = {method: [] for method in COMPARED}
-    for day in range(1, days + 1):
-        that_day = replace(settings, seed=settings.seed + day * OTHER_DAY)
-        of_the_day = calibration if stale else calibration_of(that_day)
-        for method in COMPARED:
-            done = judge(walk(that_day, session_of(geometry, method, clinic), of_the_day, SECONDS, STRIDES))
-            ends[method].append(done.at_the_end)
-            heels[method].append(done.heel_first)
-    return {"seed": seed, "ends": ends, "heels": heels}
-
-
-def said(row: dict[str, Any]) -> str:
-    """One patient in a line: later share in the band, strides to reach it, stumbles, drags, charge, ! if stopped."""
-    shown = " | ".join(
-        f"{r['later']:.2f} c{r['converged']} s{r['stumbles']} d{r['drags']} {r['charge_uc']:.0f}"
-        f"{'!' if r['stopped'] else ''}"
-        for r in row["results"].values()
-    )
-    able = "" if row["reach"] else " cannot reach"
-    return f"{row['seed']} {row['speed_mps']:.2f} m/s {row['clinic_ma']:g} mA{able}: {shown}"
-
-
 def main() -> None:
-    """Walk the patients that the results file lacks, or make the tables of result files."""
+    """Walk the scenarios and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--patients", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument(
-        "--results", type=Path, default=Path("tuning.jsonl"), help="one patient a line; goes on with it"
-    )
-    parser.add_argument(
-        "--again", nargs="+", choices=METHODS, help="make these walks anew for the patients that are known"
-    )
+    parser.add_argument("--patients", type=int, default=50)
+    parser.add_argument("--first", type=int, default=12000)
+    parser.add_argument("--scenarios", nargs="+", default=["day", "low"], choices=[*SCENARIOS, "all"])
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    parser.add_argument("--rate-ma", type=float, default=5.0, help="most that the session lets one stride change")
+    parser.add_argument("--each", action="store_true", help="a line a patient")
     parser.add_argument("--measured", action="store_true", help="only compare measured with true toe clearance")
-    parser.add_argument("--days", type=int, help="only compare how patients end on so many other days")
-    parser.add_argument("--stale", action="store_true", help="there with the calibration of another day")
-    parser.add_argument("--seeds", type=int, nargs="+", help="of those patients; else --first and --patients")
-    parser.add_argument("--tables", type=Path, nargs="+", help="only make the tables of these results")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
     asked = parser.parse_args()
+    seeds = range(asked.first, asked.first + asked.patients)
     if asked.measured:
-        found = [measured_higher_mm(seed) for seed in range(asked.first, asked.first + asked.patients)]
+        found = [measured_higher_mm(seed) for seed in seeds]
         low, middle, high = quantiles(found, n=4)
         print(f"measured above true, mm: {min(found):.1f} {low:.1f} {middle:.1f} {high:.1f} {max(found):.1f}")
         return
-    if asked.days:
+    table, faults = [HEAD], []
+    print(HEAD)
+    for name in SCENARIOS if "all" in asked.scenarios else asked.scenarios:
         every = []
-        for seed in asked.seeds or range(asked.first, asked.first + asked.patients):
-            every.append(on_other_days(seed, asked.days, stale=asked.stale))
-            print(day_line(every[-1]), flush=True)
-        print(days_table(every))
-        return
-    if not asked.tables:
-        rows = [json.loads(line) for line in asked.results.open()] if asked.results.exists() else []
-        known = {row["seed"]: row for row in rows}
-        for seed in range(asked.first, asked.first + asked.patients):
-            if seed in known and not asked.again:
-                continue
-            row = known[seed] = one_patient(seed, asked.again or METHODS, known.get(seed))
-            asked.results.write_text("".join(json.dumps(one) + "\n" for one in known.values()), encoding="utf-8")
-            print(said(row), flush=True)
-    write_tables(asked.tables or [asked.results], asked.write)
+        for seed in seeds:
+            every.append(one_patient(seed, SCENARIOS[name], asked.methods, asked.rate_ma))
+            if asked.each:
+                print(f"{seed}: " + " | ".join(said(one) for one in every[-1].values()), flush=True)
+        table += rows(name, every)
+        print("\n".join(rows(name, every)), flush=True)
+        if SCENARIOS[name].fault:
+            faults += fault_lines(name, every)
+            print("\n".join(fault_lines(name, every)), flush=True)
+    if asked.write is not None:
+        head = f"**Seeds {seeds[0]}–{seeds[-1]}**, at most {asked.rate_ma:g} mA a stride.\n"
+        text = "\n".join([head, *table, "", *faults])
+        before, rest = asked.write.read_text(encoding="utf-8").split(BEGIN)
+        asked.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
+def said(one: Result) -> str:
+    """One walk in a few numbers."""
+    flags = f"{' STOPPED' if one.self_stopped else ''}{' LATCHED' if one.latched else ''}"
+    return (
+        f"{fmean(one.inside):.2f} c{one.converged} s{one.stumbles} d{one.drags} t{one.put_back} {one.charge_uc:.0f} µC "
+        f"low {one.low_after} named {one.named_after} false {dict(one.named_falsely) or 0} {one.end_ma:g} mA{flags}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The cohort of ``benchmarks/tuning.py``: who takes part, and what a clinic would set for them once.
+"""The cohort of ``benchmarks/tuning.py``: who takes part, and what a competent user sets for them that day.
 
 Taking part needs a drop foot: without stimulation at least half the strides clear the ground by less than the band's
 low end. Who does not have one is passed over, as in a trial, and the seed's next draw is looked at.
@@ -6,7 +6,7 @@ low end. Who does not have one is passed over, as in a trial, and the seed's nex
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from random import Random
 from statistics import median
 from typing import Any
@@ -23,7 +23,7 @@ PITCH_DEG = (4.0, 25.0)  # at contact: the heel comes first
 SCREENED_S = 30.0
 TITRATED_MA = tuple(float(ma) for ma in range(12, 42, 2))
 TITRATION_STRIDES, JUDGED_STRIDES = 12, 6
-RESERVE = 1.2  # what a therapist adds for tiring and for the electrodes of another day
+RESERVE = 1.2  # what a therapist adds for tiring
 MOST_MA, WIDTH_US = 40.0, 300.0
 
 
@@ -58,10 +58,12 @@ def has_a_drop_foot(settings: PatientSettings) -> bool:
     return median(one.toe_clearance_m for one in strides) < 1e-3 * BAND_MM[0]
 
 
-def patient(seed: int) -> tuple[PatientSettings, FootCalibration, int]:
-    """The cohort's patient of this seed, the sensor's calibration, and how many draws were passed over."""
+def patient(
+    seed: int, who: Callable[[PatientSettings], PatientSettings] = lambda settings: settings
+) -> tuple[PatientSettings, FootCalibration, int]:
+    """The cohort's patient of this seed, made over by ``who``, the calibration, and how many were passed over."""
     for attempt in range(100):
-        settings = drawn(seed, attempt)
+        settings = who(drawn(seed, attempt))
         if has_a_drop_foot(settings):
             try:
                 return settings, calibration_of(settings), attempt
@@ -103,18 +105,12 @@ def walks_well(strides: list[VirtualStride]) -> bool:
 
 
 def clinic_ma(settings: PatientSettings, geometry: FootGeometry, calibration: FootCalibration) -> float:
-    """The current set once: the least with which this patient walks well, fresh and with well-placed electrodes, and a
-    reserve. Found by halving, in steps of 2 mA; the greatest where none does.
+    """What a competent user sets that day: the least current with which this patient walks well with the electrodes as
+    they are, raised in steps of 2 mA from below, and a reserve; the greatest where none does.
     """
-    fresh = replace(settings, electrode_quality=1.0)
-    low, high = 0, len(TITRATED_MA)
-    while low < high:
-        middle = (low + high) // 2
-        session = session_with(geometry, channel_of(TITRATED_MA[middle]))
-        done = walk(fresh, session, calibration, 60.0, TITRATION_STRIDES)
+    for least in TITRATED_MA:
+        session = session_with(geometry, channel_of(least, extension_s=0.0))
+        done = walk(settings, session, calibration, 60.0, TITRATION_STRIDES)
         if walks_well(done.strides[-JUDGED_STRIDES:]):
-            high = middle
-        else:
-            low = middle + 1
-    least = TITRATED_MA[low] if low < len(TITRATED_MA) else MOST_MA
-    return min(round(2.0 * RESERVE * least) / 2.0, MOST_MA)
+            return min(round(2.0 * RESERVE * least) / 2.0, MOST_MA)
+    return MOST_MA
