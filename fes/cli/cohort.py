@@ -31,6 +31,7 @@ PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
 @click.option("--subject-from", default="", help="A regular expression that finds the subject in a file's address.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--sync-clocks", is_flag=True, help="Each foot had its own clock: set the right one's by the walk.")
 @click.option("--time-limit", type=Number(min=10), help="Give up a recording that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--no-report", is_flag=True, help="Write no HTML pages.")
@@ -42,6 +43,7 @@ def command(
     workers: int | None,
     subject_from: str,
     uneven: bool,
+    sync_clocks: bool,
     time_limit: float | None,
     retry_failed: bool,
     no_report: bool,
@@ -68,7 +70,7 @@ def command(
         re.compile(subject_from)
     except re.error as error:
         raise Problem(f"--subject-from {subject_from}: is no regular expression: {error}.") from error
-    store, settings = Store(results_at(out)), Settings(not uneven, subject_from)
+    store, settings = Store(results_at(out)), Settings(not uneven, subject_from, sync_clocks)
     with resumable(store.url) as run:
         sources = find_sources([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}

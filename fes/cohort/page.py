@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from fes.cohort.groups import group_differences
 from fes.cohort.store import RECORDINGS, STRIDES, Measure, Store
 from fes.cohort.task import DONE
 from fes.report.figures.strides import FOOT_COLORS, foot_color
@@ -31,6 +32,15 @@ MEASURES: Final = (
     Measure("stride_time_s", "Stride time", "s", digits=2),
     Measure("clearance_m", "Greatest sensor height", "cm", factor=100.0),
 )
+OF_RECORDINGS: Final = (  # of a walk as a whole: a stride has no such number
+    Measure("cadence_per_min", "Cadence", "steps/min"),
+    Measure("step_time_s", "Step time", "s", digits=2),
+    Measure("swing_symmetry_percent", "Asymmetry of swing", "%"),
+    Measure("step_time_symmetry_percent", "Asymmetry of step time", "%"),
+    Measure("stride_time_cv_percent", "Variability of stride time", "%"),
+    Measure("stride_length_cv_percent", "Variability of stride length", "%"),
+)
+EVERY: Final = (*MEASURES, *OF_RECORDINGS)
 NAMES: Final = ("recording", "subject", "foot")
 COLUMNS: Final = (*NAMES, "valid", "t_start_s", "t_end_s", "stride_length_m", "speed_mps", "clearance_m")
 
@@ -54,8 +64,8 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
     def write(
         name: str, own: Sequence[dict[str, Any]], mask: slice | BoolArray, figures: list[Figure], **more: object
     ) -> None:
-        values = {"above": "", "recordings": [], "subjects": [], "outliers": [], **more}
-        values |= {"page_of": _file, "measures": MEASURES, "flags": _flags, "colors": FOOT_COLORS}
+        values = {"above": "", "recordings": [], "subjects": [], "outliers": [], "groups": [], **more}
+        values |= {"page_of": _file, "measures": EVERY, "flags": _flags, "colors": FOOT_COLORS}
         values |= {"figures": trusted(figures), "strides": int(strides["valid"][mask].sum())}
         values["failed"] = [row for row in own if row["status"] != DONE]
         store.write(name, rendered("cohort.html.j2", "fes.cohort", **values))
@@ -68,7 +78,8 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
         write(f"subjects/{_file(name)}", own, mask, figures, title=title, above=f"../{PAGE}", recordings=own)
     totals: dict[str, float] = {"recordings": len(rows), "used": len(done), "subjects": len(subjects)}
     totals["hours"] = sum(row["duration_s"] or 0.0 for row in done) / 3600.0
-    listed = {"subjects": [_subject_row(name, own) for name, own in by_subject.items()], "outliers": _outliers(done)}
+    listed: dict[str, Any] = {"groups": group_differences(done, EVERY), "outliers": _outliers(done)}
+    listed["subjects"] = [_subject_row(name, own) for name, own in by_subject.items()]
     figures = [*_histograms(strides), *_spreads(done)]
     write(PAGE, rows, slice(None), figures, title="Cohort", totals=totals, **listed)
     return store.place(PAGE)
@@ -115,7 +126,7 @@ def _histograms(strides: dict[str, Any]) -> list[Figure]:
 def _spreads(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     """Every recording's median, in order: where the cohort lies, and who lies apart."""
     figures = []
-    for measure in MEASURES:
+    for measure in EVERY:
         known = sorted((row for row in rows if row[measure.name] is not None), key=lambda row: row[measure.name])
         if len(known) < 2:
             continue
@@ -159,9 +170,10 @@ def _strides_over_time(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) 
 
 def _subject_row(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     done = [row for row in rows if row["status"] == DONE]
-    known = {m.name: [row[m.name] for row in done if row[m.name] is not None] for m in MEASURES}
+    known = {m.name: [row[m.name] for row in done if row[m.name] is not None] for m in EVERY}
     medians = {measure: float(np.median(values)) if values else None for measure, values in known.items()}
-    counts = {"recordings": len(rows), "failed": len(rows) - len(done)}
+    groups = ", ".join(sorted({row["group"] for row in done if row["group"]}))
+    counts: dict[str, Any] = {"group": groups, "recordings": len(rows), "failed": len(rows) - len(done)}
     counts["valid_strides"] = sum(row["valid_strides"] or 0 for row in done)
     return {"name": name, "page": f"subjects/{_file(name)}", **counts, **medians}
 
@@ -169,7 +181,7 @@ def _subject_row(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def _outliers(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Recordings whose median lies far from the others', by median and median absolute deviation."""
     found: dict[str, list[str]] = defaultdict(list)
-    for measure in MEASURES:
+    for measure in EVERY:
         known = [row for row in rows if row[measure.name] is not None]
         values = np.array([row[measure.name] for row in known])
         if len(known) < LEAST:

@@ -38,9 +38,14 @@ def _numbers(*names: str) -> list[tuple[str, pa.DataType]]:
 SCHEMAS: Final[Mapping[str, pa.Schema]] = {
     RECORDINGS: pa.schema(
         [
-            *[(name, _TEXT) for name in ("recording", "source", "name", "subject", "status", "reason", "fes_version")],
+            *[
+                (name, _TEXT)
+                for name in ("recording", "source", "name", "subject", "group", "status", "reason", "fes_version")
+            ],
             *[(name, _COUNT) for name in ("samples", "missing", "clipped", "irregular", "strides", "valid_strides")],
             *_numbers("duration_s", "belt_speed_mps", "stride_length_m", "speed_mps", "stride_time_s", "clearance_m"),
+            *_numbers("cadence_per_min", "step_time_s", "swing_symmetry_percent", "step_time_symmetry_percent"),
+            *_numbers("stride_time_cv_percent", "stride_length_cv_percent"),
         ]
     ),
     STRIDES: pa.schema([*_OF[:2], *((column.name, _KINDS[column.kind]) for column in TABLE)]),

@@ -1,14 +1,20 @@
 """One recording of a cohort, in whichever process: fetched, analysed, kept. Whatever is wrong with it becomes a row."""
 
+from __future__ import annotations
+
+import math
 import statistics
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from fes import __version__
 from fes.cohort.sources import CohortError, Source, local_copy
 from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
 from fes.walk_record import finite_or_none
+
+if TYPE_CHECKING:
+    from fes.analysis.parameters.gait import GaitParameters
 
 DONE: Final = "done"
 FAILED: Final = "failed"
@@ -18,13 +24,14 @@ _MEANS: Final = ("stride_length_m", "speed_mps", "clearance_m")
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What holds for every recording; ``level``: the ground is level.
+    """What holds for every recording; ``level``: the ground is level; ``sync_clocks``: each foot has its own clock.
 
     ``subject_from``: a pattern that finds the subject in the address, where the sidecar names none.
     """
 
     level: bool = True
     subject_from: str = ""
+    sync_clocks: bool = False
 
     def text(self) -> str:
         """For the identity of results."""
@@ -81,6 +88,8 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
 
 
 def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list[dict[str, Any]]]:
+    from fes.analysis.hemiparetic.sync import synchronised
+    from fes.analysis.parameters.gait import gait_parameters
     from fes.analysis.pipeline import analyse, calibrations_of  # the numeric libraries load where the work is done
     from fes.config import Ground
     from fes.recording import read_recording
@@ -91,6 +100,8 @@ def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list
         recording = read_recording(path)
         ground = recording.ground if settings.level else Ground(free=True)
         recording, found = calibrations_of(recording, incline=ground.incline)
+        if settings.sync_clocks:
+            recording, _ = synchronised(recording, found.calibrations)
         result = analyse(recording, found.calibrations, ground=ground)
     row = _row(source, settings, DONE, recording.subject, "; ".join(found.missing.values()))
     of = {"recording": identity, "subject": row["subject"]}
@@ -105,11 +116,30 @@ def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list
         "valid_strides": len(valid),
         "duration_s": max(track.duration_s for track in recording.tracks.values()),
         "belt_speed_mps": recording.belt_speed_mps,
+        "group": str(recording.extra.get("group", "")),
     }
+    row |= finite_or_none(_of_both_feet(gait_parameters(result)))
     values = {name: [r[name] for r in valid if r[name] is not None] for name in _MEANS}
     values["stride_time_s"] = [r["t_end_s"] - r["t_start_s"] for r in valid]
     row |= {name: statistics.median(own) if own else None for name, own in values.items()}
     return {STRIDES: strides, EVENTS: [{**of, **finite_or_none(r)} for r in result.event_rows()], RECORDINGS: [row]}
+
+
+def _of_both_feet(gait: GaitParameters) -> dict[str, float]:
+    """What takes both feet, and how much their strides vary: of the steady strides, NaN where it is not known.
+
+    Symmetry is the size of Robinson's index, 0 where both feet do the same: which side is paretic is not known here.
+    """
+    steps = [row.values["step_time_s"] for own in gait.strides.values() for row in own if row.steady]
+    steps = [value for value in steps if value == value]
+    found = {"cadence_per_min": gait.walk.cadence_per_min, "step_time_s": statistics.median(steps or [math.nan])}
+    for key in ("swing", "step_time"):
+        both = gait.sides.get(f"{key}_s", None)
+        found[f"{key}_symmetry_percent"] = abs(both.index_percent) if both is not None else math.nan
+    for key, name in (("stride_time", "stride_time_s"), ("stride_length", "stride_length_common_m")):
+        variations = [own[name].cv for own in gait.feet.values() if name in own and math.isfinite(own[name].cv)]
+        found[f"{key}_cv_percent"] = 100.0 * statistics.fmean(variations) if variations else math.nan
+    return found
 
 
 def _row(source: Source, settings: Settings, status: str, subject: str, reason: str) -> dict[str, Any]:

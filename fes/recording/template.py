@@ -94,7 +94,11 @@ def _characterised(path: Path, layout: Layout, group: Group) -> hints.Numbers | 
 
 def _own_times(groups: list[Group], times: list[str]) -> list[list[str]]:
     """Each sensor's own time columns, where every one of several has some; else none."""
-    own = [[name for name in times if _same_sensor(name, group)] for group in groups]
+    own = []
+    for group in groups:
+        streams = {name.rpartition(".")[0] for name in group.names("acc")}
+        alike = [name for name in times if _same_sensor(name, group)]  # of one side: foot's and shank's
+        own.append([name for name in alike if name.rpartition(".")[0] in streams] or alike)
     return own if len(groups) > 1 and all(own) else []
 
 

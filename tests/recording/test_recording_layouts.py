@@ -153,3 +153,68 @@ def test_apdm_s_sensors_are_known_by_their_labels(tmp_path: Path) -> None:
     assert not questions_of(path), "what is worn elsewhere than on a leg is left out"
     read = accept(path)
     np.testing.assert_array_equal(read.tracks["right_foot"].acc_mps2, TRACK.acc_mps2)
+
+
+def test_apdm_s_older_files_name_their_sensors_at_the_root(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="pip install 'fes-gait[apdm]'")
+    path = tmp_path / "20150312-101500.h5"
+    numbers = [b"SI-000123", b"SI-000124", b"SI-000125"]
+    with h5py.File(path, "w") as file:
+        file.attrs["FileFormatVersion"] = 4
+        file.attrs["CaseIdList"] = np.array(numbers)
+        file.attrs["MonitorLabelList"] = np.array([b"Right Foot      ", b"Lumbar", b"Left Foot"])
+        for scale, number in enumerate(numbers, start=1):
+            calibrated = file.create_group(f"{number.decode()}/Calibrated")
+            calibrated["Accelerometers"], calibrated["Gyroscopes"] = TRACK.acc_mps2, TRACK.gyr_radps * scale / 3
+            file[number.decode()]["Time"] = 1_400_000_000_000_000 + 10_000 * N
+    assert not questions_of(path)
+    read = accept(path)
+    np.testing.assert_allclose(read.tracks["left_foot"].gyr_radps, TRACK.gyr_radps)
+    np.testing.assert_allclose(read.tracks["right_foot"].gyr_radps, TRACK.gyr_radps / 3)
+    np.testing.assert_array_equal(read.tracks["left_foot"].acc_mps2, TRACK.acc_mps2)
+
+
+def mvnx(path: Path, free: np.ndarray, q: np.ndarray, rate_hz: int = 100) -> Path:
+    """A file as MVN writes it, every tracker alike; frames in which the body poses for the model come first."""
+    labels = ("Pelvis", "RightLowerLeg", "RightFoot", "LeftLowerLeg", "LeftFoot")
+    sensors = "".join(f'<sensor label="{label}"/>' for label in labels)
+    frames = []
+    for k, (a, w) in enumerate(zip(free.tolist(), q.tolist(), strict=True)):
+        texts = {"sensorFreeAcceleration": a * len(labels), "sensorOrientation": w * len(labels)}
+        inside = "".join(f"<{name}>{' '.join(f'{v:.9f}' for v in own)}</{name}>" for name, own in texts.items())
+        frames.append(f'<frame time="{10 * k}" index="{k}" tc="00:00:00:00" ms="0" type="normal">{inside}</frame>')
+    pose = '<frame time="0" index="" tc="" ms="0" type="tpose"><orientation>1 0 0 0</orientation></frame>'
+    path.write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n<mvnx version="4" xmlns="http://www.xsens.com/mvn/mvnx">'
+        f'<subject label="S1" frameRate="{rate_hz}" segmentCount="23"><sensors>{sensors}</sensors>'
+        f'<frames segmentCount="23">{pose}{"".join(frames)}</frames></subject></mvnx>'
+    )
+    return path
+
+
+def test_mvn_s_trackers_are_turned_back_into_what_they_sensed(tmp_path: Path) -> None:
+    q, free = np.empty((N.size, 4)), np.empty((N.size, 3))
+    now = np.array([1.0, 0.0, 0.0, 0.0])
+    for k, (acc, gyr) in enumerate(zip(TRACK.acc_mps2, TRACK.gyr_radps, strict=True)):
+        w, v = now[0], now[1:]
+        q[k] = now
+        free[k] = acc + 2.0 * np.cross(v, np.cross(v, acc) + w * acc) - [0.0, 0.0, G_MPS2]
+        half = 0.01 * (gyr + TRACK.gyr_radps[min(k + 1, N.size - 1)]) / 4.0
+        c, s = 1.0, half
+        now = np.array([w * c - v @ s, *(w * s + c * v + np.cross(v, s))])
+        now /= np.linalg.norm(now)
+    path = mvnx(tmp_path / "walk.mvnx", free, q)
+    assert not questions_of(path)
+    read = accept(path)
+    assert set(read.tracks) >= {"left_foot", "right_foot"}
+    track = read.tracks["left_foot"]
+    np.testing.assert_allclose(track.acc_mps2, TRACK.acc_mps2, atol=1e-6)
+    assert np.sqrt(np.mean((track.gyr_radps - TRACK.gyr_radps) ** 2)) < 0.03 * np.sqrt(np.mean(TRACK.gyr_radps**2))
+    assert track.rate_hz == pytest.approx(100.0)
+
+
+def test_mvn_without_the_trackers_own_data_says_what_to_export(tmp_path: Path) -> None:
+    path = mvnx(tmp_path / "walk.mvnx", np.zeros((200, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
+    path.write_text(path.read_text().replace("sensorFreeAcceleration", "sensorMagneticField"))
+    with pytest.raises(RecordingError, match="has no sensorFreeAcceleration: export it with all data of the sensors"):
+        sidecar_template(path)
