@@ -144,7 +144,7 @@ def test_a_triad_that_lives_again_is_ready_again() -> None:
 
 
 def test_single_repeats_of_now_one_triad_now_the_other_are_no_frozen_axis() -> None:
-    """A converter of few bits repeats a value now and then; what repeated once and then went on is not counted again."""
+    """A converter of few bits repeats a value now and then; what repeated once and went on is not counted again."""
     judge = Coherence("left_foot")
     values = stride(0.0)
     for k in range(400):
