@@ -7,8 +7,9 @@ and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at hee
 - Ground: Hertz's law of a sphere with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction
   by bristles. In pre-swing the foot rolls over its ball and then, as the shoe bends no further, over its toe's tip.
 - Recruitment over charge: Durfee & MacLean, *IEEE Trans Biomed Eng* 36 (1989); so used by Riener & Fuhr, *IEEE Trans
-  Rehabil Eng* 6 (1998).
-- Calcium transients summed over pulses, then saturation: Ding, Wexler & Binder-Macleod, *J Appl Physiol* 88 (2000).
+  Rehabil Eng* 6 (1998). Charge against pulse width: Weiss's law, :class:`fes.simulation.forward.MuscleSettings`.
+- Calcium transients of second order summed over pulses: Ding, Wexler & Binder-Macleod, *J Appl Physiol* 88 (2000).
+  Their saturation is cooperative: Bobet & Stein, *IEEE Trans Biomed Eng* 45 (1998); so a twitch is small.
 - Activation with its own time constants, fatigue and recovery: Riener, Quintern & Schmidt, *J Biomech* 29 (1996).
 - Force against velocity: Hill's hyperbola for a muscle that shortens, up to 1.4 times as much for one stretched.
 
@@ -47,6 +48,7 @@ _BODY = (
     "short_rad", "stiff", "damp",  # passive ankle: how short and stiff the calf is beyond the normal
     "spastic", "own", "own_rad",  # reflex gain; share of voluntary dorsiflexion
     "threshold_uc", "saturation_uc", "torque_max", "tau_ca", "tau_up", "tau_down", "tau_fat", "tau_rec", "fit_floor",
+    "gain",  # of the activation, so that it is 1 at 40 Hz
     "slip", "trip_ns",  # friction coefficient; drag impulse at which the foot is caught, N·s
 )  # fmt: skip
 # --- set anew at each event of the stride ---------------------------------------------------------------
@@ -68,7 +70,7 @@ _STATE = (
     "xp", "vxp", "axp", "zp", "vzp", "azp", "nominal", "vnominal", "bend",
     "heel_at", "ball_at", "toe_at", "heel_n", "ball_n", "toe_n", "drag_n",  # bristle anchors (NaN: off the ground)
     "hold", "flat_t", "own_act", "stretch1", "stretch2",
-    "calcium", "recruited", "active", "fit", "torque",
+    "released", "calcium", "recruited", "active", "fit", "torque",
     "drag_s", "drag_ns", "tripped", "toe_z", "heel_z",
 )  # fmt: skip
 
@@ -140,8 +142,7 @@ def damping(angle: float, knee: float, stiff: float, short: float, damp: float, 
     return max(damp, 2.0 * DAMPING_RATIO * math.sqrt(inertia * math.degrees(stiff * slope)))
 
 
-KM = 0.15  # calcium at which half of the saturated force is reached, in transients
-GAIN_40HZ = (0.8 + KM) / 0.8  # so that full recruitment at 40 Hz is 1
+HALF_CALCIUM = 0.55  # at which half of the saturated force is reached: a twitch is 0.1–0.2 of the force at 40 Hz
 BETA = 0.6  # how far fatigue depends on frequency (Riener et al.)
 FASTEST_RADPS = 15.0  # unloaded: 10 fibre lengths of 6 cm a second on a lever of 4 cm
 HILL = 4.0  # 1 / (a / F0) of Hill's hyperbola
@@ -175,10 +176,17 @@ def force_at(dorsiflexing_radps: float) -> float:
 
 
 @inlined
+def saturation(calcium: float) -> float:
+    """Share of the greatest force at this much calcium, with a Hill coefficient of 2 (Bobet & Stein, 1998)."""
+    return calcium * calcium / (calcium * calcium + HALF_CALCIUM * HALF_CALCIUM)
+
+
+@inlined
 def muscle(leg: Record, dt: float) -> None:
     """One step of the stimulated muscle: calcium, activation, fitness and torque."""
-    leg.calcium -= leg.calcium * dt / leg.tau_ca
-    drive = min(leg.recruited * GAIN_40HZ * leg.calcium / (leg.calcium + KM), 1.05)
+    leg.released -= leg.released * dt / leg.tau_ca
+    leg.calcium += (leg.released - leg.calcium) * dt / leg.tau_ca
+    drive = leg.recruited * leg.gain * saturation(leg.calcium)
     tau = leg.tau_up if drive > leg.active else leg.tau_down
     leg.active += (drive - leg.active) * dt / tau
     pace = 1.0 - BETA + BETA * (0.01 * leg.calcium / leg.tau_ca) ** 2
@@ -186,6 +194,23 @@ def muscle(leg: Record, dt: float) -> None:
     leg.fit += dt * ((leg.fit_floor - leg.fit) * tired / leg.tau_fat + (1.0 - leg.fit) * (1.0 - tired) / leg.tau_rec)
     length = min(max(1.0 - 1.1 * (leg.pitch - leg.shank + 0.15), 0.4), 1.0)  # short in dorsiflexion, and weaker
     leg.torque = leg.torque_max * leg.fit * leg.active * length * force_at(leg.vpitch - leg.vshank)
+
+
+@jit
+def activation_at_40hz(tau_ca: float, tau_up: float, tau_down: float) -> float:
+    """Mean activation, before its gain, in a fused contraction at 40 Hz; integrated with the step of the patient."""
+    dt, every, steps = 0.0005, 50, 4000
+    released, calcium, active, total = 0.0, 0.0, 0.0, 0.0
+    for k in range(steps):
+        if k % every == 0:
+            released += 1.0
+        released -= released * dt / tau_ca
+        calcium += (released - calcium) * dt / tau_ca
+        drive = saturation(calcium)
+        active += (drive - active) * dt / (tau_up if drive > active else tau_down)
+        if k >= steps - 10 * every:
+            total += active
+    return total / (10 * every)
 
 
 TURN = 2.0 * math.pi

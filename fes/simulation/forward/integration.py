@@ -137,7 +137,7 @@ def run(
             share = recruitment(pulse_uc[belt.pulse], one.threshold_uc, one.saturation_uc)
             if share > 0.0:
                 one.recruited = share
-                one.calcium += 1.0
+                one.released += 1.0
             belt.pulse += 1
         who, what = -1, NO_EVENT
         for side in range(2):

@@ -8,7 +8,7 @@ import numpy as np
 from fes.estimation.numerics.records import Vec
 from fes.signals import G_MPS2, FloatArray, Vector3
 from fes.simulation.forward import gait_patterns as normative
-from fes.simulation.forward.dynamics import HEEL_M, LEG, PRE_SWING, STANCE, SWING
+from fes.simulation.forward.dynamics import HEEL_M, LEG, PRE_SWING, STANCE, SWING, activation_at_40hz
 from fes.simulation.forward.gait_patterns import Pattern
 from fes.simulation.forward.integration import plan_at
 from fes.simulation.forward.settings import PatientSettings
@@ -87,6 +87,7 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
         "threshold_uc": muscle.threshold_uc, "saturation_uc": muscle.saturation_uc, "torque_max": muscle.max_torque_nm,
         "tau_ca": muscle.tau_calcium_s, "tau_up": muscle.tau_rise_s, "tau_down": muscle.tau_fall_s,
         "tau_fat": muscle.fatigue_s, "tau_rec": muscle.recovery_s, "fit_floor": muscle.fatigue_floor,
+        "gain": 1.0 / activation_at_40hz(muscle.tau_calcium_s, muscle.tau_rise_s, muscle.tau_fall_s),
         "slip": 0.8, "trip_ns": 1.1, "fit": 1.0,
         "mode": STANCE, "flat": 1, "due_s": math.inf, "phase0": STANDING_PHASE, "load_share": 0.5, "load_t": math.inf,
         "load_s": 1.0, "unload_t": math.inf, "unload_s": 1.0, "rise_t": math.inf, "rise_s": 1.0, "swing_t": -10.0,

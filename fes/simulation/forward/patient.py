@@ -289,7 +289,8 @@ class VirtualPatient:
             return
         delay = round(self.settings.muscle.delay_s * NS_PER_S)
         steps = np.array([-((pulse.t_ns + delay) // -STEP_NS) for pulse in mine], np.int64)
-        charge = np.array([pulse.charge_uc * self._quality for pulse in mine])
+        muscle = self.settings.muscle
+        charge = np.array([self._quality * muscle.equivalent_uc(p.charge_uc, p.pulse_width_us) for p in mine])
         for pulse in mine:
             self._walker.add_charge(pulse.t_ns, pulse.charge_uc)
         taken = int(self._walker.belt["pulse"][0])

@@ -13,21 +13,31 @@ from fes.simulation.sensor import ImuModel, Placement
 
 STEP_NS = 500_000  # the internal step: the shoe sole's contact modes (about 70 Hz) are well below its 2 kHz
 
+REFERENCE_US: Final = 300.0  # the pulse width at which thresholds are given
+
 
 @dataclass(frozen=True, slots=True)
 class MuscleSettings:
     """The stimulated dorsiflexors."""
 
-    threshold_uc: float = 3.5  # charge per phase at which the first fibres answer, µC
-    saturation_uc: float = 11.0  # charge per phase at which all that the electrodes reach are recruited, µC
+    threshold_uc: float = 3.5  # charge per phase at which the first fibres answer, µC, in a pulse of REFERENCE_US
+    saturation_uc: float = 11.0  # charge at which all that the electrodes reach are recruited, in such a pulse, µC
+    chronaxie_us: float = 459.0  # strength–duration time constant of motor axons (Mogyoros et al., Brain 119, 1996)
     max_torque_nm: float = 14.0  # greatest torque of the fresh, fully recruited muscle at 40 Hz, N·m
     delay_s: float = 0.03  # electromechanical delay, from pulse to first force
-    tau_calcium_s: float = 0.02  # decay of the calcium transient of one pulse
-    tau_rise_s: float = 0.04  # time constant of activation rising
+    tau_calcium_s: float = 0.025  # time constant of the rise and decay of one pulse's calcium
+    tau_rise_s: float = 0.06  # time constant of activation rising
     tau_fall_s: float = 0.06  # time constant of activation falling
-    fatigue_s: float = 400.0  # time constant of tiring under full activation; ``inf`` never tires
-    recovery_s: float = 120.0  # time constant of recovery at rest
+    fatigue_s: float = 250.0  # time constant of tiring under full activation; ``inf`` never tires
+    recovery_s: float = 300.0  # time constant of recovery at rest
     fatigue_floor: float = 0.3  # share of the torque that is left however long it goes on
+
+    def equivalent_uc(self, charge_uc: float, pulse_width_us: float) -> float:
+        """Charge of a pulse of REFERENCE_US that reaches the same fibres (Weiss: threshold charge ~ width + chronaxie).
+
+        Durfee & MacLean's recruitment is over charge at one width; short pulses need less charge and more current.
+        """
+        return charge_uc * (REFERENCE_US + self.chronaxie_us) / (pulse_width_us + self.chronaxie_us)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +125,8 @@ _RANGES = {
     "stand_s": (1.0, 600.0),
 }  # fmt: skip
 _MUSCLE_RANGES = {
-    "threshold_uc": (0.0, 60.0), "saturation_uc": (0.0, 65.0), "max_torque_nm": (0.0, 60.0), "delay_s": (0.0, 0.2),
+    "threshold_uc": (0.0, 60.0), "saturation_uc": (0.0, 65.0), "chronaxie_us": (50.0, 2000.0),
+    "max_torque_nm": (0.0, 60.0), "delay_s": (0.0, 0.2),
     "tau_calcium_s": (0.002, 0.2), "tau_rise_s": (0.005, 1.0), "tau_fall_s": (0.005, 1.0), "fatigue_s": (1.0, math.inf),
     "recovery_s": (1.0, math.inf), "fatigue_floor": (0.0, 1.0),
 }  # fmt: skip
