@@ -25,7 +25,7 @@ from fes.signals import (
     StrideResult,
     Tick,
 )
-from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
+from fes.simulation.forward import DeliveredPulse, Harm, PatientSettings, VirtualPatient, VirtualStride, harm_of
 from fes.stimulation.tuning.tuner import TuningReport
 
 STEP_NS = 10_000_000
@@ -78,6 +78,11 @@ class Walk:
     controller: Controller
     pulses: list[DeliveredPulse] = field(default_factory=list)
     put_back: int = 0  # heels lifted and put back (T5)
+
+    @property
+    def harm(self) -> Harm:
+        """What the stimulation did to the patient, over all strides."""
+        return harm_of(self.strides)
 
 
 def calibration_of(settings: PatientSettings) -> FootCalibration:

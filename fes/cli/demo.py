@@ -175,6 +175,13 @@ def _show(result: dict[str, Any], *, as_json: bool) -> None:
             f"{part['median_toe_clearance_mm']} mm, {part['charge_uc_a_step']} µC a step (medians)"
         )
     click.echo(_story(result))
+    harm = result["harm"]
+    click.echo(
+        f"Harm in {harm['strides']} strides: {harm['stumbles']} stumbles, {harm['drags']} drags, "
+        f"{harm['early_bursts']} bursts against the push-off ({harm['push_off_lost']:.0%} of its work lost), "
+        f"{harm['inverted_contacts']} landings inverted, {harm['spasms']} spasms, "
+        f"co-contraction {harm['co_contraction_nms']:.1f} N·m·s and {harm['charge_uc']:.0f} µC a stride."
+    )
     if process := result.get("patient_process"):
         click.echo(
             f"The patient's process was {process['latest_ms']:.1f} ms late at most, over 5 ms {process['late_5ms']} "

@@ -8,7 +8,7 @@ import select
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ from fes.live.inputs import Terminal, standard_keys
 from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S, Event, ImuSample
 from fes.simulation import bundled_file
-from fes.simulation.forward import PatientSettings, VirtualPatient
+from fes.simulation.forward import PatientSettings, VirtualPatient, harm_of
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for
 
@@ -267,6 +267,7 @@ def _show(walker: VirtualPatient, settings: PatientSettings, folder: Path, optio
         "median_toe_clearance_cm": round(clearance[len(clearance) // 2], 2) if clearance else None,
         "charge_uc": round(sum(stride.charge_uc for stride in mine), 1),
         "fitness": round(walker.fitness, 3),
+        "harm": {key: round(value, 3) for key, value in asdict(harm_of(mine)).items()},
     }
     if options.as_json:
         click.echo(json.dumps(result, indent=2))

@@ -16,13 +16,14 @@ from fes.simulation.forward import DeliveredPulse, MuscleSettings, PatientSettin
 from fes.simulation.forward.dynamics import (
     DAMPING_RATIO,
     LEG,
+    MUSCLE,
     activation_at_40hz,
     damping,
     muscle,
     passive,
     recruitment,
 )
-from fes.simulation.forward.leg import body_of
+from fes.simulation.forward.leg import body_of, muscle_of
 
 DT = 0.0005
 
@@ -38,17 +39,16 @@ def run(
     own: MuscleSettings, seconds: float, frequency_hz: float, share: float = 1.0, until_s: float = 1e9
 ) -> np.ndarray:
     """Activation, fitness and torque (N, 3) of a muscle pulled by a regular train, on the 0.5 ms grid."""
-    legs = np.zeros(1, LEG)
-    legs[0] = body_of(PatientSettings(muscle=own), affected=True)
-    legs["recruited"] = share
-    legs["pitch"], legs["shank"] = -0.3, 0.0
+    one = np.zeros(1, MUSCLE)
+    one[0] = muscle_of(own)
+    one["recruited"] = share
     every = round(1.0 / frequency_hz / DT)
     out = np.empty((round(seconds / DT), 3))
     for k in range(len(out)):
         if k % every == 0 and k * DT < until_s:
-            legs["released"] += 1.0
-        muscle(legs[0], DT)
-        out[k] = legs["active"][0], legs["fit"][0], legs["torque"][0]
+            one["released"] += 1.0
+        muscle(one[0], -0.3, 0.0, DT)
+        out[k] = one["active"][0], one["fit"][0], one["torque"][0]
     return out
 
 
@@ -96,22 +96,22 @@ def test_half_the_frequency_gives_somewhat_more_than_half_the_force(own: MuscleS
 
 
 @jit
-def walked(leg: Record, seconds: float) -> None:
+def walked(one: Record, seconds: float) -> None:
     """Bursts of 0.55 s at 40 Hz, one every 1.25 s."""
     for k in range(round(seconds / DT)):
         if k % 2500 < 1100 and k % 2500 % 50 == 0:
-            leg.released += 1.0
-        muscle(leg, DT)
+            one.released += 1.0
+        muscle(one, -0.3, 0.0, DT)
 
 
 def test_twenty_minutes_of_walking_tire_the_muscle() -> None:
-    legs = np.zeros(1, LEG)
-    legs[0] = body_of(PatientSettings(), affected=True)
-    legs["recruited"], legs["pitch"] = 0.8, -0.3
+    one = np.zeros(1, MUSCLE)
+    one[0] = muscle_of(MuscleSettings())
+    one["recruited"] = 0.8
     fit = []
     for _ in range(20):
-        walked(legs[0], 60.0)
-        fit.append(float(legs["fit"][0]))
+        walked(one[0], 60.0)
+        fit.append(float(one["fit"][0]))
     assert fit == sorted(fit, reverse=True)
     assert fit[1] > 0.85
     assert 0.5 < fit[-1] < 0.8

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from statistics import mean, median
 
 import numpy as np
@@ -10,7 +11,14 @@ import pytest
 from virtual_walks import affected, walk
 
 from fes.signals import G_MPS2, NS_PER_S, ImuSample
-from fes.simulation.forward import DeliveredPulse, MuscleSettings, PatientSettings, VirtualPatient, settings_for
+from fes.simulation.forward import (
+    DeliveredPulse,
+    MuscleSettings,
+    PatientSettings,
+    VirtualPatient,
+    harm_of,
+    settings_for,
+)
 from fes.simulation.forward.gait_patterns import PATTERNS, joint_curves, stride_time_s
 from fes.simulation.sensor import PERFECT, ImuModel
 
@@ -118,13 +126,75 @@ def test_a_hanging_foot_drags_and_adequate_stimulation_clears_it() -> None:
 def test_more_charge_lifts_more_and_the_stretched_calf_holds_it_back() -> None:
     clearance, pitch = [], []
     for current_ma in (10.0, 16.0, 22.0, 34.0):
-        strides = affected(walk(DROP, 25.0, current_ma)[0])
+        strides = affected(walk(DROP, 25.0, current_ma, after_heel_off_s=0.25)[0])  # late enough for the push-off
         clearance.append(median(s.toe_clearance_m for s in strides))
         pitch.append(median(s.pitch_at_contact_rad for s in strides))
     assert clearance == sorted(clearance)
     assert pitch == sorted(pitch)
     assert clearance[-1] > clearance[0] + 0.01
     assert 12.0 < math.degrees(pitch[-1]) < 25.0  # the knee is straight at contact: the calf pulls
+
+
+def test_a_burst_in_pre_swing_costs_push_off_and_is_counted() -> None:
+    without, late, early = (
+        walk(DROP, 25.0, current_ma, after_heel_off_s=after_s)[0]
+        for current_ma, after_s in ((0, 0), (26, 0.25), (26, 0))
+    )
+    off_deg = [-median(math.degrees(s.pitch_at_foot_off_rad) for s in affected(one)) for one in (without, late, early)]
+    assert off_deg[0] - off_deg[1] < 3.0
+    assert off_deg[0] - off_deg[2] > 5.0
+    harm = [harm_of(affected(one)) for one in (without, late, early)]
+    assert [one.early_bursts for one in harm] == [0, 0, harm[2].strides]
+    assert harm[0].push_off_lost == 0.0
+    assert harm[1].push_off_lost < 0.05 < 0.1 < harm[2].push_off_lost
+    assert harm[0].co_contraction_nms < harm[1].co_contraction_nms < harm[2].co_contraction_nms
+    assert median(s.toe_clearance_m for s in affected(early)) < median(s.toe_clearance_m for s in affected(late))
+
+
+def test_tibialis_anterior_inverts_and_the_peronei_evert() -> None:
+    def inversion_deg() -> list[float]:
+        one = replace(DROP, voluntary_dorsiflexion=0.5, spasticity=0.0, evertor_channel=1)
+        patient = VirtualPatient(one)
+        patient.advance(4 * NS_PER_S, train(2.0, 4.0) + train(3.0, 4.0, 30.0, channel=1))
+        trace = patient.trace("right_foot")
+        rolls = [math.degrees(trace["roll_rad"][np.searchsorted(trace["t_s"], t)]) for t in (1.9, 2.9, 3.95)]
+        return rolls
+
+    still, inverted, everted = inversion_deg()
+    assert abs(still) < 0.5
+    assert inverted > still + 0.5  # even of a foot on the ground, four times as stiff as in the air
+    assert everted < inverted - 1.0
+
+
+def test_a_strong_burst_inverts_the_foot_in_the_air_and_evertors_level_it() -> None:
+    def contacts(current_ma: float, evertor_ma: float) -> list[float]:
+        settings = replace(DROP, spasticity=0.0, inversion_share=0.2, evertor_channel=1)
+        patient = VirtualPatient(settings)
+        on, next_ns, seen = False, 0, 0
+        for t_ns in range(10_000_000, 20 * NS_PER_S, 10_000_000):
+            for event in patient.events[seen:]:
+                if event.foot == "right_foot" and event.kind in ("foot_off", "initial_contact"):
+                    on, next_ns = event.kind == "foot_off", t_ns
+            seen, pulses = len(patient.events), []
+            while on and next_ns <= t_ns:
+                pulses += [DeliveredPulse(next_ns, k, ma, 300.0) for k, ma in ((0, current_ma), (1, evertor_ma))]
+                next_ns += 25_000_000
+            patient.advance(t_ns, pulses)
+        return [math.degrees(s.inversion_at_contact_rad) for s in affected(patient, 3)]
+
+    assert median(contacts(34.0, 0.0)) > 5.0
+    assert abs(median(contacts(34.0, 24.0))) < 5.0
+
+
+def test_a_spasm_follows_a_burst_that_stretches_a_spastic_calf_too_fast() -> None:
+    calm = replace(DROP, spasticity=0.5, spasm_radps=math.inf)
+    ready = replace(calm, spasm_radps=1.5)
+    spasms = []
+    for settings, current_ma in ((calm, 36.0), (ready, 0.0), (ready, 20.0), (ready, 36.0)):
+        strides = affected(walk(settings, 25.0, current_ma, after_heel_off_s=0.3)[0])
+        spasms.append(harm_of(strides).spasms / len(strides))
+    assert spasms[:3] == [0.0, 0.0, 0.0]
+    assert spasms[3] > 0.8
 
 
 def test_stimulation_that_ends_before_contact_lets_the_foot_slap() -> None:

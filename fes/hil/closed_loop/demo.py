@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from fes.hil.closed_loop.processes import WALK_S, Happening, Protocol, armed_protocol
 from fes.signals import FOOT_SENSORS, NS_PER_S
-from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
+from fes.simulation.forward import PatientSettings, VirtualStride, harm_of, settings_for
 
 SECONDS: Final = 80.0
 SLIPS_S: Final = 48.0
@@ -50,6 +50,7 @@ def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:
         "charge_mc": round(1e-3 * sum(stride.charge_uc for stride in walked), 2),
         "strides_until_clear": _until_clear([stride for stride in walked if stride.t_flat_ns < slip_ns]),
         "strides_until_clear_again": _until_clear([stride for stride in walked if stride.t_flat_ns >= slip_ns]),
+        "harm": {key: round(value, 3) for key, value in asdict(harm_of(walked)).items()},
         **{
             name: {
                 "dragged": sum(stride.dragged for stride in part),

@@ -1,6 +1,7 @@
 """A patient simulated forward in time: stimulation pulses in, sensor samples and truth out."""
 
 from fes.simulation.forward.closed_loop import recorded_walk
+from fes.simulation.forward.harm import Harm, harm_of
 from fes.simulation.forward.patient import VirtualPatient
 from fes.simulation.forward.settings import DeliveredPulse, MuscleSettings, PatientSettings, load_patient, settings_for
 from fes.simulation.forward.walker import FootEvent, VirtualStride
@@ -8,10 +9,12 @@ from fes.simulation.forward.walker import FootEvent, VirtualStride
 __all__ = [
     "DeliveredPulse",
     "FootEvent",
+    "Harm",
     "MuscleSettings",
     "PatientSettings",
     "VirtualPatient",
     "VirtualStride",
+    "harm_of",
     "load_patient",
     "recorded_walk",
     "settings_for",

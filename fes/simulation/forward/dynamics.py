@@ -46,9 +46,9 @@ _BODY = (
     "foot_kg", "com_x", "inertia", "moved_kg",  # the foot; its inertia about the ankle; what moves with the ankle
     "weight_n", "leg_k", "leg_d",  # load on one leg; how firmly the leg keeps to its path
     "short_rad", "stiff", "damp",  # passive ankle: how short and stiff the calf is beyond the normal
-    "spastic", "own", "own_rad",  # reflex gain; share of voluntary dorsiflexion
-    "threshold_uc", "saturation_uc", "torque_max", "tau_ca", "tau_up", "tau_down", "tau_fat", "tau_rec", "fit_floor",
-    "gain",  # of the activation, so that it is 1 at 40 Hz
+    "spastic", "spasm_nm", "spasm_radps",  # reflex gain; a spasm's torque, and the stretch that sets one off
+    "own", "own_rad",  # share of voluntary dorsiflexion
+    "side", "inverts", "roll_k",  # +1 left, -1 right; inversion to dorsiflexion torque; stiffness about the roll axis
     "slip", "trip_ns",  # friction coefficient; drag impulse at which the foot is caught, N·s
 )  # fmt: skip
 # --- set anew at each event of the stride ---------------------------------------------------------------
@@ -61,7 +61,7 @@ _PLAN = (
     "swing_t", "swing_s", "lift_m", "hike_m", "fall_m", "early_m", "reach_m", "circle_m", "swerve_rad", "turn_rad",
     "shift_m",
     "across_m", "yaw_rad",  # where the swing starts from
-    "offset_t", "offset_s", "roll_goal",
+    "offset_t", "offset_s", "roll_goal", "hang_rad",  # inversion of a level foot; beyond it, of one that hangs
 )  # fmt: skip
 # --- what evolves ---------------------------------------------------------------------------------------
 _STATE = (
@@ -69,8 +69,9 @@ _STATE = (
     "y", "vy", "ay", "yaw", "vyaw", "ayaw", "shank", "vshank", "ashank",
     "xp", "vxp", "axp", "zp", "vzp", "azp", "nominal", "vnominal", "bend",
     "heel_at", "ball_at", "toe_at", "heel_n", "ball_n", "toe_n", "drag_n",  # bristle anchors (NaN: off the ground)
-    "hold", "flat_t", "own_act", "stretch1", "stretch2",
-    "released", "calcium", "recruited", "active", "fit", "torque",
+    "hold", "flat_t", "own_act", "stretch1", "stretch2", "spasm", "spasm_most",
+    "torque", "everting", "calf",  # of the stimulated muscles, dorsiflexing and everting; of the calf, plantarflexing
+    "pushed_j", "opposed_j", "co_nms",  # of this stride: push-off, what the stimulation took of it, co-contraction
     "drag_s", "drag_ns", "tripped", "toe_z", "heel_z",
 )  # fmt: skip
 
@@ -80,6 +81,16 @@ LEG: Final = np.dtype(
     + [(name, np.float64, (6,)) for name in ("offset_x", "offset_z", "offset_shank")]
     + [(name, np.float64, (SERIES,)) for name in ("thigh", "knee", "ankle")]
 )
+# a stimulated muscle: what it is, and what evolves. DORSIFLEXORS and EVERTORS are the two of the affected leg.
+MUSCLE: Final = np.dtype(
+    [(name, np.float64) for name in (
+        "threshold_uc", "saturation_uc", "torque_max", "tau_ca", "tau_up", "tau_down", "tau_fat", "tau_rec",
+        "fit_floor", "gain",  # the last: of the activation, so that it is 1 at 40 Hz
+        "released", "calcium", "recruited", "active", "fit", "torque",
+    )]
+)  # fmt: skip
+DORSIFLEXORS: Final = 0
+EVERTORS: Final = 1
 BELT: Final = np.dtype([(name, np.float64) for name in ("x", "v", "a", "goal")] + [("pulse", np.int64)])
 
 TRACE: Final = (
@@ -182,18 +193,21 @@ def saturation(calcium: float) -> float:
 
 
 @inlined
-def muscle(leg: Record, dt: float) -> None:
-    """One step of the stimulated muscle: calcium, activation, fitness and torque."""
-    leg.released -= leg.released * dt / leg.tau_ca
-    leg.calcium += (leg.released - leg.calcium) * dt / leg.tau_ca
-    drive = leg.recruited * leg.gain * saturation(leg.calcium)
-    tau = leg.tau_up if drive > leg.active else leg.tau_down
-    leg.active += (drive - leg.active) * dt / tau
-    pace = 1.0 - BETA + BETA * (0.01 * leg.calcium / leg.tau_ca) ** 2
-    tired = min(leg.active * pace / (1.0 - BETA + BETA * 0.16), 1.0)  # 1 for all of it at 40 Hz
-    leg.fit += dt * ((leg.fit_floor - leg.fit) * tired / leg.tau_fat + (1.0 - leg.fit) * (1.0 - tired) / leg.tau_rec)
-    length = min(max(1.0 - 1.1 * (leg.pitch - leg.shank + 0.15), 0.4), 1.0)  # short in dorsiflexion, and weaker
-    leg.torque = leg.torque_max * leg.fit * leg.active * length * force_at(leg.vpitch - leg.vshank)
+def muscle(one: Record, angle: float, rate: float, dt: float) -> None:
+    """One step of a stimulated muscle: calcium, activation, fitness and torque.
+
+    ``angle``, ``rate`` of its joint (rad, rad/s), positive where it is short and shortens.
+    """
+    one.released -= one.released * dt / one.tau_ca
+    one.calcium += (one.released - one.calcium) * dt / one.tau_ca
+    drive = one.recruited * one.gain * saturation(one.calcium)
+    tau = one.tau_up if drive > one.active else one.tau_down
+    one.active += (drive - one.active) * dt / tau
+    pace = 1.0 - BETA + BETA * (0.01 * one.calcium / one.tau_ca) ** 2
+    tired = min(one.active * pace / (1.0 - BETA + BETA * 0.16), 1.0)  # 1 for all of it at 40 Hz
+    one.fit += dt * ((one.fit_floor - one.fit) * tired / one.tau_fat + (1.0 - one.fit) * (1.0 - tired) / one.tau_rec)
+    length = min(max(1.0 - 1.1 * (angle + 0.15), 0.4), 1.0)  # short, and weaker
+    one.torque = one.torque_max * one.fit * one.active * length * force_at(rate)
 
 
 @jit
@@ -218,6 +232,8 @@ GRAVITY = 9.80665
 BEND_RAD = math.radians(45.0)  # how far a shod forefoot bends at the toes' joints before it rolls over the toe's tip
 HOLD_NM_PER_RAD = 320.0  # quasi-stiffness of the loaded ankle, about 5 N·m a degree
 HOLD_NMS_PER_RAD = 6.0
+SPASM_RISES_S, SPASM_LASTS_S = 0.03, 0.25
+RELEASED = 0.08  # share of its stiffness that the calf has left where the foot leaves the ground
 FALL_MPS = 0.5  # how fast a foot goes on down that has not met the ground when it should
 EARLY = 0.2  # share of the swing in which the toe leaves the ground: no dragging yet
 LET_GO = 0.05  # share of the swing in which the toes cease to press
@@ -377,7 +393,15 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
     # the stretch reflex of the calf, some 40 ms late
     leg.stretch1 += (rate - leg.stretch1) * dt / 0.02
     leg.stretch2 += (leg.stretch1 - leg.stretch2) * dt / 0.02
-    out -= leg.spastic * max(leg.stretch2 - 0.6, 0.0)
+    # and, stretched fast enough, a spasm that outlasts the stretch
+    if leg.stretch2 > leg.spasm_radps:
+        leg.spasm += (1.0 - leg.spasm) * dt / SPASM_RISES_S
+    else:
+        leg.spasm -= leg.spasm * dt / SPASM_LASTS_S
+    if leg.mode == SWING:
+        leg.spasm_most = max(leg.spasm_most, leg.spasm)
+    reflex = leg.spastic * max(leg.stretch2 - 0.6, 0.0) + leg.spasm_nm * leg.spasm
+    out -= reflex
     # voluntary dorsiflexors hold the normal angle, from just before foot off until the foot lies flat
     wanted = 1.0 if leg.mode == SWING or (leg.mode == STANCE and leg.flat == 0) else 0.0
     leg.own_act += (wanted - leg.own_act) * dt / 0.04
@@ -386,14 +410,25 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
     out += leg.own * leg.own_act * min(max(needed, 0.0), 28.0)
     out += leg.torque
     # the calf of a standing leg: it carries the weight where the plan wants it, and lifts the heel
+    push = 0.0
     if leg.mode == SWING:
         leg.hold -= leg.hold * dt / 0.015
-        return out
-    if leg.flat:
-        leg.hold += (1.0 - leg.hold) * dt / 0.03
-    psi, psi1, _ = heel_rise(leg, t)
-    hold = HOLD_NM_PER_RAD * (-psi - leg.pitch) + HOLD_NMS_PER_RAD * (-psi1 - leg.vpitch)
-    out += leg.hold * (hold - weight * lever)
+    else:
+        if leg.flat:
+            leg.hold += (1.0 - leg.hold) * dt / 0.03
+        psi, psi1, _ = heel_rise(leg, t)
+        # as the other leg takes the weight the calf lets go: late in push-off little is left to oppose it
+        firm = 1.0
+        if leg.mode == PRE_SWING:
+            firm = RELEASED + (1.0 - RELEASED) * min(weight / leg.weight_n, 1.0)
+        hold = firm * (HOLD_NM_PER_RAD * (-psi - leg.pitch) + HOLD_NMS_PER_RAD * (-psi1 - leg.vpitch))
+        push = leg.hold * (hold - weight * lever)
+        out += push
+    leg.calf = max(-push, 0.0) + reflex
+    leg.co_nms += min(leg.torque, leg.calf) * dt
+    if leg.mode == PRE_SWING:
+        leg.pushed_j += max(-push, 0.0) * max(-rate, 0.0) * dt
+        leg.opposed_j += leg.torque * max(-rate, 0.0) * dt
     return out
 
 
@@ -418,8 +453,7 @@ def toes_press(leg: Record, t: float) -> float:
 
 @inlined
 def step(leg: Record, belt: Record, t: float, dt: float) -> None:
-    """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
-    muscle(leg, dt)
+    """Advance one leg from ``t`` to ``t + dt``; ``plan`` for ``t`` and ``muscle`` come before it."""
     h, c, s = leg.sole_m, math.cos(leg.pitch), math.sin(leg.pitch)
     # the heel is round: the ground presses below its middle, the sole's flat part beginning there
     middle = leg.heel_x + HEEL_M

@@ -8,6 +8,8 @@ from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Mat, Record, Vec
 from fes.simulation.forward.dynamics import (
     CONTACT,
+    DORSIFLEXORS,
+    EVERTORS,
     FLAT,
     GRAVITY,
     NO_EVENT,
@@ -16,6 +18,7 @@ from fes.simulation.forward.dynamics import (
     STUMBLE,
     SWING,
     bump,
+    muscle,
     plan,
     recruitment,
     smooth,
@@ -28,6 +31,7 @@ CONTACT_FROM = 0.45  # share of the swing from which a heel on the ground is a c
 FOREFOOT_FROM = 0.92  # … and the forefoot: before that it drags
 BELT_RADPS = 2.5  # the belt reaches a new speed in about two seconds
 ROLL_AIR_RADPS, ROLL_GROUND_RADPS = 22.0, 45.0
+HANGS_FROM_RAD, HANGS_RAD = math.radians(2.0), math.radians(16.0)  # plantarflexion in which a foot begins to invert
 
 
 @inlined
@@ -43,7 +47,12 @@ def sideways(leg: Record, t: float, dt: float) -> None:
     leg.vyaw = (leg.swerve_rad * b1 + leg.turn_rad * q1) * w
     leg.ayaw = (leg.swerve_rad * b2 + leg.turn_rad * q2) * w * w
     stiff = ROLL_AIR_RADPS if leg.mode == SWING else ROLL_GROUND_RADPS
-    leg.aroll = stiff * stiff * (leg.roll_goal - leg.roll) - 2.0 * stiff * leg.vroll
+    # a foot that hangs inverts, for the ankle's axis is oblique; tibialis anterior inverts, the peronei evert
+    hangs = min(max((leg.shank - leg.pitch - HANGS_FROM_RAD) / HANGS_RAD, 0.0), 1.0) if leg.mode == SWING else 0.0
+    inverting = leg.inverts * leg.torque - leg.everting
+    goal = leg.roll_goal - leg.side * (leg.hang_rad * hangs)
+    leg.aroll = stiff * stiff * (goal - leg.roll) - 2.0 * stiff * leg.vroll
+    leg.aroll -= leg.side * inverting * ROLL_AIR_RADPS * ROLL_AIR_RADPS / leg.roll_k
     leg.vroll += leg.aroll * dt
     leg.roll += leg.vroll * dt
 
@@ -111,14 +120,17 @@ def low_pass(filter_: Mat, values: Mat, b0: float, a1: float, a2: float) -> None
 
 @jit
 def run(
-    legs: Vec, belts: Vec, begin: int, end: int, dt: float, pulse_step: Vec, pulse_uc: Vec, affected: int, places: Mat,
-    filters: Mat, taps: Vec, values: Mat, every: int, samples: Mat, trace_every: int, trace: Mat,
+    legs: Vec, belts: Vec, begin: int, end: int, dt: float, pulse_step: Vec, pulse_uc: Vec, pulse_of: Vec,
+    muscles: Vec, affected: int, places: Mat, filters: Mat, taps: Vec, values: Mat, every: int, samples: Mat,
+    trace_every: int, trace: Mat,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Advance from step ``begin`` to ``end`` at most; returns the step reached, the leg and what happened to it.
 
     Args:
         legs: (2,) records, left then right; belts: (1,) record.
-        pulse_step, pulse_uc: when (internal step) each pulse starts to pull, and its charge at the nerve.
+        pulse_step, pulse_uc, pulse_of: when (internal step) each pulse starts to pull, its charge at the nerve, and of
+            which muscle.
+        muscles: (2,) records of the affected leg.
         affected: the leg that is stimulated.
         places: (4, 3) sensors from the ankle, in SENSORS' order; filters (4, 6, 2), taps (3,) their low-pass.
         values: (4, 6) the sensors' newest values.
@@ -132,13 +144,17 @@ def run(
         belt.a += (BELT_RADPS * BELT_RADPS * (belt.goal - belt.v) - 2.0 * BELT_RADPS * belt.a) * dt
         belt.v += belt.a * dt
         belt.x += belt.v * dt
-        one = legs[affected]
         while belt.pulse < pulse_step.size and pulse_step[belt.pulse] <= number:
+            one = muscles[pulse_of[belt.pulse]]
             share = recruitment(pulse_uc[belt.pulse], one.threshold_uc, one.saturation_uc)
             if share > 0.0:
                 one.recruited = share
                 one.released += 1.0
             belt.pulse += 1
+        lame = legs[affected]
+        muscle(muscles[DORSIFLEXORS], lame.pitch - lame.shank, lame.vpitch - lame.vshank, dt)
+        muscle(muscles[EVERTORS], lame.side * lame.roll, lame.side * lame.vroll, dt)
+        lame.torque, lame.everting = muscles[DORSIFLEXORS].torque, muscles[EVERTORS].torque
         who, what = -1, NO_EVENT
         for side in range(2):
             leg = legs[side]
@@ -167,7 +183,9 @@ def run(
                 note = trace[row, side]
                 note[0], note[1], note[2], note[3] = leg.x, leg.y, leg.z, leg.pitch
                 note[4], note[5], note[6], note[7], note[8] = leg.roll, leg.yaw, leg.shank, leg.toe_z, leg.heel_z
-                note[9], note[10], note[11] = leg.active, leg.torque, leg.fit
+                note[9], note[10], note[11] = 0.0, leg.torque, 1.0
+                if side == affected:
+                    note[9], note[11] = muscles[DORSIFLEXORS].active, muscles[DORSIFLEXORS].fit
                 note[12], note[13] = leg.heel_n + leg.ball_n + leg.toe_n, leg.mode + 10.0 * leg.flat
             row += 1
         if what != NO_EVENT:

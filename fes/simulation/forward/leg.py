@@ -8,10 +8,10 @@ import numpy as np
 from fes.estimation.numerics.records import Vec
 from fes.signals import G_MPS2, FloatArray, Vector3
 from fes.simulation.forward import gait_patterns as normative
-from fes.simulation.forward.dynamics import HEEL_M, LEG, PRE_SWING, STANCE, SWING, activation_at_40hz
+from fes.simulation.forward.dynamics import HEEL_M, LEG, MUSCLE, PRE_SWING, STANCE, SWING, activation_at_40hz
 from fes.simulation.forward.gait_patterns import Pattern
 from fes.simulation.forward.integration import plan_at
-from fes.simulation.forward.settings import PatientSettings
+from fes.simulation.forward.settings import MuscleSettings, PatientSettings
 
 
 def quintic(at_start: list[float], span_s: float) -> list[float]:
@@ -40,6 +40,8 @@ TO_PLAN = 0.55  # share of the swing until the foot is on its planned path, wher
 NEAR_S = 0.4  # … the whole swing where it begins as far away from it as the belt goes in this time
 EARLY_M = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
 _EARLY, _MIDDLE = np.linspace(0.24, 0.38, 8), np.linspace(0.44, 0.75, 16)
+LOST_LIFT_M = 0.05  # by how much lower the foot would pass without any push-off: the knee swings by it
+LOST_REACH_M = 0.15  # … and by how much shorter the step would be
 TOE_OUT_RAD = math.radians(7.0)
 ZERO: Vector3 = (0.0, 0.0, 0.0)
 
@@ -61,6 +63,9 @@ class Swing:
     swerve_rad: float
     circle_m: float
     shift_m: float
+    lost: float = (
+        0.0  # share of the push-off's work that stimulation has taken: the knee bends less, the step is shorter
+    )
 
 
 def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
@@ -74,7 +79,6 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
     com = 0.19 * length
     weak = settings.spasticity if affected else 0.0
     own = settings.voluntary_dorsiflexion if affected else 1.0
-    muscle = settings.muscle
     fixed = {
         "thigh_m": normative.THIGH_OF_HEIGHT * height, "shank_m": normative.SHANK_OF_HEIGHT * height, "sole_m": sole,
         "heel_x": heel, "ball_x": ball, "toe_m": 0.24 * length, "foot_kg": foot_kg, "com_x": com,
@@ -83,12 +87,9 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
         "weight_n": 0.97 * mass * G_MPS2, "leg_k": 3000.0, "leg_d": 150.0,
         # stiffer and shorter with spasticity (Lorentzen et al., 2010)
         "short_rad": 0.12 * weak, "stiff": 1.0 + 0.9 * weak, "damp": 0.50 + 0.25 * weak,
-        "spastic": 5.0 * weak, "own": own,
-        "threshold_uc": muscle.threshold_uc, "saturation_uc": muscle.saturation_uc, "torque_max": muscle.max_torque_nm,
-        "tau_ca": muscle.tau_calcium_s, "tau_up": muscle.tau_rise_s, "tau_down": muscle.tau_fall_s,
-        "tau_fat": muscle.fatigue_s, "tau_rec": muscle.recovery_s, "fit_floor": muscle.fatigue_floor,
-        "gain": 1.0 / activation_at_40hz(muscle.tau_calcium_s, muscle.tau_rise_s, muscle.tau_fall_s),
-        "slip": 0.8, "trip_ns": 1.1, "fit": 1.0,
+        "spastic": 5.0 * weak, "spasm_nm": 12.0 * weak, "spasm_radps": settings.spasm_radps, "own": own,
+        "inverts": settings.inversion_share, "roll_k": settings.roll_stiffness_nm_per_rad,
+        "slip": 0.8, "trip_ns": 1.1,
         "mode": STANCE, "flat": 1, "due_s": math.inf, "phase0": STANDING_PHASE, "load_share": 0.5, "load_t": math.inf,
         "load_s": 1.0, "unload_t": math.inf, "unload_s": 1.0, "rise_t": math.inf, "rise_s": 1.0, "swing_t": -10.0,
         "swing_s": 1.0, "offset_s": 1.0, "offset_t": -10.0, "flat_t": -10.0, "hold": 1.0, "toe_bend": 1.0,
@@ -97,6 +98,21 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
     for name, value in fixed.items():
         leg[name] = value
     return leg
+
+
+def muscle_of(settings: MuscleSettings) -> np.void:
+    """A stimulated muscle's record, fresh and at rest."""
+    one: np.void = np.zeros(1, MUSCLE)[0]
+    fixed = {
+        "threshold_uc": settings.threshold_uc, "saturation_uc": settings.saturation_uc,
+        "torque_max": settings.max_torque_nm, "tau_ca": settings.tau_calcium_s, "tau_up": settings.tau_rise_s,
+        "tau_down": settings.tau_fall_s, "tau_fat": settings.fatigue_s, "tau_rec": settings.recovery_s,
+        "fit_floor": settings.fatigue_floor, "fit": 1.0,
+        "gain": 1.0 / activation_at_40hz(settings.tau_calcium_s, settings.tau_rise_s, settings.tau_fall_s),
+    }  # fmt: skip
+    for name, value in fixed.items():
+        one[name] = value
+    return one
 
 
 class Planner:
@@ -111,6 +127,7 @@ class Planner:
         self.leg = legs[side]
         self.need_m = 0.0  # lift with which a hanging foot just clears, beyond the normal one
         self.set_speed(settings.speed_mps)
+        self.leg["side"] = self.sign
         self.leg["across_m"], self.leg["yaw_rad"] = self.sign * HALF_WIDTH_M, self.sign * TOE_OUT_RAD
         # stand with the shank at this tilt, for good
         self.leg["thigh"], self.leg["knee"], self.leg["ankle"] = self._curves
@@ -203,7 +220,7 @@ class Planner:
         leg["hike_m"] = 0.0
         normal, hanging = self._needed(swing.clearance_m, _MIDDLE), self._needed(0.0, _MIDDLE, hanging=True)
         self.need_m = max(hanging - normal, 0.0) * (1.0 - float(leg["own"]))
-        leg["hike_m"] = normal + swing.habit * self.need_m + swing.extra_lift_m
+        leg["hike_m"] = normal + swing.habit * self.need_m + swing.extra_lift_m - LOST_LIFT_M * swing.lost
 
     def trip(self, t_s: float, short_m: float) -> None:
         """The toe is caught: the swing goes on from where it is, and lands short by ``short_m``."""

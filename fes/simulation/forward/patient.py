@@ -17,7 +17,7 @@ from fes.config import FootGeometry
 from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample
-from fes.simulation.forward.dynamics import NO_EVENT, TRACE
+from fes.simulation.forward.dynamics import DORSIFLEXORS, EVERTORS, NO_EVENT, TRACE
 from fes.simulation.forward.integration import run
 from fes.simulation.forward.settings import STEP_NS, DeliveredPulse, PatientSettings
 from fes.simulation.forward.walker import FootEvent, VirtualStride, Walker
@@ -157,6 +157,7 @@ class VirtualPatient:
         self._values = np.zeros((4, 6))
         self._pulse_step = np.zeros(0, np.int64)
         self._pulse_uc = np.zeros(0)
+        self._pulse_of = np.zeros(0, np.int64)
         self._trace: deque[FloatArray] = deque()
         self._kept_rows, self._most_rows = 0, None if remember_s is None else round(max(remember_s, 10.0) / TRACE_S)
         self._trace_rows = 0
@@ -228,15 +229,15 @@ class VirtualPatient:
         self._quality = _share("electrode quality", share)
 
     def set_fitness(self, share: float) -> None:
-        """The stimulated muscle has only this share (0–1) of its fresh force left: sudden fatigue."""
-        self._walker.legs["fit"][self._walker.affected] = _share("fitness", share)
+        """The stimulated muscles have only this share (0–1) of its fresh force left: sudden fatigue."""
+        self._walker.muscles["fit"] = _share("fitness", share)
 
     # --- what is true of it -----------------------------------------------------------------------------
 
     @property
     def fitness(self) -> float:
-        """Share of the fresh force that the stimulated muscle has left."""
-        return float(self._walker.legs["fit"][self._walker.affected])
+        """Share of the fresh force that the stimulated dorsiflexors have left."""
+        return float(self._walker.muscles["fit"][DORSIFLEXORS])
 
     @property
     def sole_m(self) -> float:
@@ -284,21 +285,27 @@ class VirtualPatient:
     # --- inside -----------------------------------------------------------------------------------------
 
     def _queue(self, pulses: Sequence[DeliveredPulse]) -> None:
-        mine = [pulse for pulse in pulses if pulse.channel == self.settings.channel]
-        if not mine:
+        settings, found = self.settings, []
+        groups = {
+            settings.channel: (DORSIFLEXORS, settings.muscle),
+            settings.evertor_channel: (EVERTORS, settings.evertors),
+        }
+        for pulse in pulses:
+            if pulse.channel in groups:
+                number, muscle = groups[pulse.channel]
+                delay_ns = round(muscle.delay_s * NS_PER_S)
+                felt_uc = self._quality * muscle.equivalent_uc(pulse.charge_uc, pulse.pulse_width_us)
+                found.append((-((pulse.t_ns + delay_ns) // -STEP_NS), felt_uc, number))
+                self._walker.add_charge(pulse.t_ns, pulse.charge_uc)
+        if not found:
             return
-        delay = round(self.settings.muscle.delay_s * NS_PER_S)
-        steps = np.array([-((pulse.t_ns + delay) // -STEP_NS) for pulse in mine], np.int64)
-        muscle = self.settings.muscle
-        charge = np.array([self._quality * muscle.equivalent_uc(p.charge_uc, p.pulse_width_us) for p in mine])
-        for pulse in mine:
-            self._walker.add_charge(pulse.t_ns, pulse.charge_uc)
         taken = int(self._walker.belt["pulse"][0])
         self._walker.belt["pulse"][0] = 0
-        steps = np.concatenate([self._pulse_step[taken:], steps])
+        steps = np.concatenate([self._pulse_step[taken:], np.array([one[0] for one in found], np.int64)])
         order = np.argsort(steps, kind="stable")
         self._pulse_step = steps[order]
-        self._pulse_uc = np.concatenate([self._pulse_uc[taken:], charge])[order]
+        self._pulse_uc = np.concatenate([self._pulse_uc[taken:], [one[1] for one in found]])[order]
+        self._pulse_of = np.concatenate([self._pulse_of[taken:], np.array([one[2] for one in found], np.int64)])[order]
 
     def _to(self, end: int) -> list[ImuSample]:
         blocks: list[tuple[int, FloatArray]] = []
@@ -316,8 +323,8 @@ class VirtualPatient:
         trace = np.empty((stop // TRACE_EVERY - begin // TRACE_EVERY, 2, len(TRACE)))
         self._step, side, what = run(
             walker.legs, walker.belt, begin, stop, STEP_NS / NS_PER_S, self._pulse_step, self._pulse_uc,
-            walker.affected, self._places, self._filters, self._taps, self._values, self._every, samples, TRACE_EVERY,
-            trace,
+            self._pulse_of, walker.muscles, walker.affected, self._places, self._filters, self._taps, self._values,
+            self._every, samples, TRACE_EVERY, trace,
         )  # fmt: skip
         if self._step <= 0:
             return

@@ -18,7 +18,7 @@ REFERENCE_US: Final = 300.0  # the pulse width at which thresholds are given
 
 @dataclass(frozen=True, slots=True)
 class MuscleSettings:
-    """The stimulated dorsiflexors."""
+    """A stimulated muscle group: the dorsiflexors, or the evertors."""
 
     threshold_uc: float = 3.5  # charge per phase at which the first fibres answer, µC, in a pulse of REFERENCE_US
     saturation_uc: float = 11.0  # charge at which all that the electrodes reach are recruited, in such a pulse, µC
@@ -76,7 +76,15 @@ class PatientSettings:
     spasticity: float = 0.2  # 0 (none) to 1 (the calf answers every stretch, and is short and stiff)
     pattern: str = "none"  # "none", or one of Wang et al.'s five, "hemiparetic_1" … "hemiparetic_5"
     muscle: MuscleSettings = field(default_factory=MuscleSettings)  # the stimulated dorsiflexors of the affected side
-    channel: int = 0  # the stimulator's channel on them; pulses of other channels do nothing here
+    channel: int = 0  # the stimulator's channel on them; pulses of channels that are on no muscle do nothing
+    evertors: MuscleSettings = field(default_factory=lambda: MuscleSettings(max_torque_nm=6.0))  # the peronei
+    evertor_channel: int | None = None  # the stimulator's channel on the evertors; None: no electrode is there
+    # inversion torque for each N·m of stimulated dorsiflexion: the lever of tibialis anterior about the subtalar axis,
+    # 0.6 ± 0.3 cm (Piazza et al., Conf IEEE EMBS 2003), over its 4 cm about the ankle, less what of the evertors the
+    # same electrodes reach; below 0 they evert
+    inversion_share: float = 0.10
+    roll_stiffness_nm_per_rad: float = 12.0  # of the relaxed foot about its long axis
+    spasm_radps: float = 2.0  # stretch of the calf that sets off a spasm; its torque grows with ``spasticity``
     electrode_quality: float = 1.0  # share of the charge that reaches the nerve, 0–1
     # habitual extra lift by hip and knee against the dropped foot, 0 (none) to 1 (just clears)
     compensation: float = 0.6
@@ -94,7 +102,11 @@ class PatientSettings:
             raise ValueError(f"side = {self.side!r}: the affected side is 'left' or 'right'")
         if self.pattern not in PATTERNS:
             raise ValueError(f"pattern = {self.pattern!r}: choose one of {', '.join(PATTERNS)}")
-        for settings, prefix, ranges in ((self, "", _RANGES), (self.muscle, "muscle.", _MUSCLE_RANGES)):
+        for settings, prefix, ranges in (
+            (self, "", _RANGES),
+            (self.muscle, "muscle.", _MUSCLE_RANGES),
+            (self.evertors, "evertors.", _MUSCLE_RANGES),
+        ):
             for name, (low, high) in ranges.items():
                 value = getattr(settings, name)
                 if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
@@ -102,9 +114,14 @@ class PatientSettings:
         for name in ("seed", "channel"):
             if not isinstance(getattr(self, name), int):
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a whole number")
-        if self.muscle.saturation_uc <= self.muscle.threshold_uc:
-            low, high = self.muscle.threshold_uc, self.muscle.saturation_uc
-            raise ValueError(f"muscle.saturation_uc = {high:g} must be above threshold_uc = {low:g}")
+        if self.evertor_channel is not None and self.evertor_channel not in range(8):
+            raise ValueError(f"evertor_channel = {self.evertor_channel!r}: must be a whole number from 0 to 7")
+        if self.evertor_channel == self.channel:
+            raise ValueError(f"evertor_channel = {self.channel} is the dorsiflexors' channel already")
+        for name, muscle in (("muscle", self.muscle), ("evertors", self.evertors)):
+            if muscle.saturation_uc <= muscle.threshold_uc:
+                low, high = muscle.threshold_uc, muscle.saturation_uc
+                raise ValueError(f"{name}.saturation_uc = {high:g} must be above threshold_uc = {low:g}")
         steps = 1e9 / STEP_NS / self.rate_hz
         if steps < 2.0 or abs(steps - round(steps)) > 1e-9:
             raise ValueError(f"rate_hz = {self.rate_hz:g}: 2000 must be a multiple of it, e.g. 100, 200, 400, 500")
@@ -122,7 +139,8 @@ _RANGES = {
     "seed": (0, 2**63), "speed_mps": (0.1, 2.0), "height_m": (1.2, 2.2), "mass_kg": (35.0, 180.0),
     "voluntary_dorsiflexion": (0.0, 1.0), "spasticity": (0.0, 1.0), "channel": (0, 7), "electrode_quality": (0.0, 1.0),
     "compensation": (0.0, 1.5), "variability": (0.0, 3.0), "asymmetry": (-0.15, 0.15), "rate_hz": (20.0, 1000.0),
-    "stand_s": (1.0, 600.0),
+    "stand_s": (1.0, 600.0), "inversion_share": (-0.5, 0.5), "roll_stiffness_nm_per_rad": (2.0, 100.0),
+    "spasm_radps": (0.5, math.inf),
 }  # fmt: skip
 _MUSCLE_RANGES = {
     "threshold_uc": (0.0, 60.0), "saturation_uc": (0.0, 65.0), "chronaxie_us": (50.0, 2000.0),
@@ -144,6 +162,7 @@ def from_plain(values: Mapping[str, Any]) -> PatientSettings:
     """
     kinds: dict[str, Callable[[Any], Any]] = {
         "muscle": lambda plain: MuscleSettings(**plain),
+        "evertors": lambda plain: MuscleSettings(**plain),
         "imu": lambda plain: ImuModel(**plain),
         "placements": lambda plain: {
             name: Placement(tuple(one["body_m"]), tuple(one["angles_deg"])) for name, one in plain.items()
@@ -192,21 +211,24 @@ def load_patient(path: Path, **others: object) -> PatientSettings:
     if not isinstance(table, dict) or set(data) != {"patient"}:
         raise ValueError(f"{path}: must hold one table, [patient]; it has {', '.join(data) or 'nothing'}")
     values = dict(table)
-    muscle = values.pop("muscle", {})
-    _refuse(path, "patient", values, (_names(PatientSettings) - {"muscle", "imu", "placements"}) | {"severity"})
-    if not isinstance(muscle, dict):
-        raise ValueError(f"{path}: muscle must be a table, [patient.muscle]")
-    _refuse(path, "patient.muscle", muscle, _names(MuscleSettings))
+    groups = {name: values.pop(name) for name in ("muscle", "evertors") if name in values}
+    _refuse(
+        path, "patient", values, (_names(PatientSettings) - {"muscle", "evertors", "imu", "placements"}) | {"severity"}
+    )
     try:
+        for name, group in groups.items():
+            if not isinstance(group, dict):
+                raise ValueError(f"{name} must be a table, [patient.{name}]")
+            _refuse(path, f"patient.{name}", group, _names(MuscleSettings))
+            usual = next(item for item in fields(PatientSettings) if item.name == name).default_factory
+            values[name] = replace(usual(), **group)  # type: ignore[operator]
         if "sensors" in values:
             if not isinstance(values["sensors"], list):
                 raise ValueError(f'sensors = {values["sensors"]!r}: must be a list of names, e.g. ["left_foot"]')
             values["sensors"] = tuple(values["sensors"])
-        if muscle:
-            values["muscle"] = replace(MuscleSettings(), **muscle)
         return settings_for(values.pop("severity", "moderate"), **{**values, **others})
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise error if str(error).startswith(f"{path}: ") else ValueError(f"{path}: {error}") from error
 
 
 def _refuse(path: Path, table: str, values: dict[str, Any], allowed: set[str]) -> None:

@@ -12,7 +12,16 @@ from fes.simulation.forward import gait_patterns as normative
 from fes.simulation.forward.dynamics import BELT, CONTACT, FLAT, LEG, PRE_SWING, STUMBLE, TRACE
 from fes.simulation.forward.gait_patterns import PATTERNS, Pattern, stride_time_s
 from fes.simulation.forward.integration import to_rest_m, travel_m
-from fes.simulation.forward.leg import CLEARANCE_M, HALF_WIDTH_M, PRE_SWING_SHARE, Planner, Swing, body_of
+from fes.simulation.forward.leg import (
+    CLEARANCE_M,
+    HALF_WIDTH_M,
+    LOST_REACH_M,
+    PRE_SWING_SHARE,
+    Planner,
+    Swing,
+    body_of,
+    muscle_of,
+)
 from fes.simulation.forward.settings import PatientSettings
 
 Rows: TypeAlias = Callable[[int, float, float], FloatArray]  # of a side's trace between two times in s
@@ -48,9 +57,16 @@ class VirtualStride:
     drag_s: float  # how long the forefoot touched the ground in swing
     dragged: bool  # it did so between 25 % and 90 % of the swing, for over 20 ms
     stumbled: bool  # it caught, and the step was cut short
-    charge_uc: float  # charge delivered on the patient's channel since the contact before
+    charge_uc: float  # charge delivered on the patient's channels since the contact before
     peak_torque_nm: float  # greatest torque of the stimulated muscle in this swing
     walking: bool  # false for the last step into standing
+    pitch_at_foot_off_rad: (
+        float  # sole against the ground as the foot leaves it, toe-up positive: how far it pushed off
+    )
+    push_off_j: float  # work of the calf in pre-swing
+    opposed_j: float  # of it, taken up by the stimulated dorsiflexors: a burst too early
+    spasm: float  # how strong a spasm of the calf became in swing, 0–1
+    co_contraction_nms: float  # impulse of stimulated dorsiflexors and calf, reflex and all, pulling against each other
 
 
 @dataclass(slots=True)
@@ -68,6 +84,7 @@ class OpenStride:
     roll: float = 0.0
     speed_mps: float = 0.0
     drag_s: float = 0.0
+    off_pitch: float = 0.0
     due_s: float = math.nan  # when this swing is to end
     next_off_s: float = math.inf
     next_contact_s: float = math.inf
@@ -122,6 +139,7 @@ CLEARANCE_SPREAD_M = 0.0035  # Winter (1992): 4.5 mm from stride to stride
 RELAX, BUILD = 0.35, 0.25  # how fast the habit of lifting the leg goes and comes, per stride
 COMFORTABLE_M = 0.02
 FELT = 0.3  # of a stride in how high the foot seems to pass
+LEVEL_DEG = 2.0  # inversion in swing of a foot that does not hang
 HALF_A_FOOT_M = 0.1  # nearer than this to where it is to stand, a foot takes no further step
 SHORT_M = 0.05  # steps that land less than this short of their place only vary
 STROLL_MPS = 0.1
@@ -142,6 +160,7 @@ class Walker:
         self.affected = 0 if settings.side == "left" else 1
         for side in range(2):
             self.legs[side] = body_of(settings, affected=side == self.affected)
+        self.muscles = np.array([muscle_of(settings.muscle), muscle_of(settings.evertors)])  # of the affected leg
         self.planners = [Planner(settings, self.pattern, self.legs, self.belt, side) for side in range(2)]
         self._rng = np.random.default_rng((settings.seed, 10))
         rhythm_rng = np.random.default_rng((settings.seed, 11))
@@ -252,22 +271,25 @@ class Walker:
             beside = planner.reach(end, now_m + travel_m(belt, end - t_s), now_m + to_rest_m(belt))
             open_.last_step = beside < reach + HALF_A_FOOT_M
             reach = beside if open_.last_step else reach
+        # dorsiflexors stimulated before the foot has left take from the push-off (Kesar et al., *Stroke* 40, 2009)
+        lost = min(float(planner.leg["opposed_j"]) / max(float(planner.leg["pushed_j"]), 0.5), 1.0)
         turn = float(np.clip(self._turn_rad[side], -math.radians(30), math.radians(30)))
         self._turn_rad[side] -= turn
         circle = planner.pattern.circumduction_m * (1.0 + 0.25 * float(draw[3]) * vary)
         y = planner.sign * HALF_WIDTH_M + 0.012 * vary * float(draw[2])
-        # inward roll in the air: a hanging foot inverts, the own muscles hold it nearly level
-        hanging_deg = (1.0 - float(planner.leg["own"])) * (planner.pattern.invert_deg - 2.0)
-        invert_deg = 2.0 + hanging_deg + 0.8 * self.settings.variability * float(draw[4])
+        # inward roll in the air: a foot that hangs inverts, one that is held is nearly level
+        invert_deg = LEVEL_DEG + 0.8 * self.settings.variability * float(draw[4])
         planner.leg["roll_goal"] = -planner.sign * math.radians(invert_deg)
+        planner.leg["hang_rad"] = math.radians(max(planner.pattern.invert_deg - LEVEL_DEG, 0.0))
+        open_.off_pitch = float(planner.leg["pitch"])
         planner.swing(
             Swing(
                 begin_s=t_s, end_s=end,
                 clearance_m=max(CLEARANCE_M + CLEARANCE_SPREAD_M * vary * float(draw[1]), 0.004),
                 extra_lift_m=planner.pattern.hike_m + self._scare_m * affected, habit=self._habit * affected,
-                reach_m=reach, turn_rad=turn,
+                reach_m=reach - LOST_REACH_M * lost, turn_rad=turn,
                 swerve_rad=math.radians(planner.pattern.swerve_deg), circle_m=circle,
-                shift_m=y - float(planner.leg["y"]),
+                shift_m=y - float(planner.leg["y"]), lost=lost,
             )
         )  # fmt: skip
 
@@ -321,7 +343,7 @@ class Walker:
         if rows is None or not len(rows):
             return
         self._counts[side] += 1
-        count = len(rows)
+        leg, count = self.legs[side], len(rows)
         middle = rows[int(0.30 * count) : max(int(0.80 * count), 1)]
         late = rows[int(0.25 * count) : int(0.90 * count)]
         affected = side == self.affected
@@ -335,8 +357,11 @@ class Walker:
             dragged=bool((late[:, _TOE] < 0.0).sum() * 0.005 > 0.02), stumbled=open_.stumbled,
             charge_uc=self._charge_until(_ns(open_.t_contact_s)) if affected else 0.0,
             peak_torque_nm=float(rows[:, _TORQUE].max()),
-            walking=not open_.last_step,
+            walking=not open_.last_step, pitch_at_foot_off_rad=open_.off_pitch,
+            push_off_j=float(leg["pushed_j"]), opposed_j=float(leg["opposed_j"]), spasm=float(leg["spasm_most"]),
+            co_contraction_nms=float(leg["co_nms"]),
         )  # fmt: skip
+        leg["pushed_j"] = leg["opposed_j"] = leg["co_nms"] = leg["spasm_most"] = 0.0
         self.strides.append(stride)
         if affected:
             self._learn(stride)
