@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, fields
 from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
-from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -193,28 +192,10 @@ class Patient:
 
     def settings(self, foot: str, channel: int) -> PatientSettings:
         """Someone with a drop foot on that side, whose dorsiflexors that channel stimulates."""
-        from fes.simulation.forward import MuscleSettings, PatientSettings
+        from fes.simulation.forward import draw_patient
 
-        chance = Random(f"{self.seed}/{self.number}")
-        threshold_uc = chance.uniform(2.5, 5.0)
-        return PatientSettings(
-            seed=chance.randrange(1 << 30),
-            side=foot.removesuffix("_foot"),
-            channel=channel,
-            sensors=(foot,),
-            stand_s=STAND_S,
-            speed_mps=round(chance.uniform(0.4, 1.3), 2),
-            voluntary_dorsiflexion=chance.choice((0.0, 0.0, 0.2, 0.4)),
-            spasticity=chance.uniform(0.0, 0.6),
-            compensation=chance.uniform(0.4, 0.9),
-            electrode_quality=chance.uniform(0.75, 1.0),
-            muscle=MuscleSettings(
-                threshold_uc=threshold_uc,
-                saturation_uc=threshold_uc + chance.uniform(5.0, 8.0),
-                max_torque_nm=chance.uniform(9.0, 15.0),
-                fatigue_s=chance.choice((float("inf"), 600.0, 250.0)),
-            ),
-        )
+        side = foot.removesuffix("_foot")
+        return draw_patient(self.seed, self.number, side=side, channel=channel, sensors=(foot,), stand_s=STAND_S)
 
 
 Case = Source | Patient

@@ -1,6 +1,7 @@
 """A patient simulated forward in time: stimulation pulses in, sensor samples and truth out."""
 
 from fes.simulation.forward.closed_loop import recorded_walk
+from fes.simulation.forward.draw import draw_patient
 from fes.simulation.forward.harm import Harm, harm_of
 from fes.simulation.forward.patient import VirtualPatient
 from fes.simulation.forward.settings import DeliveredPulse, MuscleSettings, PatientSettings, load_patient, settings_for
@@ -14,6 +15,7 @@ __all__ = [
     "PatientSettings",
     "VirtualPatient",
     "VirtualStride",
+    "draw_patient",
     "harm_of",
     "load_patient",
     "recorded_walk",
