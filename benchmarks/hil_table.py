@@ -1,7 +1,8 @@
 """One table of several fault campaigns: ``python benchmarks/hil_table.py out/hil-*/hil.json``, as docs/hil.md shows it.
 
 Rows are faults, columns transports. A cell holds the worst time from the fault to the end of the stimulator's output,
-and how many attempts were as required and in time; campaigns on the same transport are taken together. With ``--write
+for how long of it current flowed in a true stance, at most, where it did, and how many attempts were as required and in
+time; campaigns on the same transport are taken together. With ``--write
 FILE`` it is put between that file's marks.
 """
 
@@ -36,6 +37,7 @@ class Cell:
     worst_ms: float | None = None
     never: bool = False
     away: int = 0
+    wrong_ms: float = 0.0
 
     def add(self, row: dict[str, Any]) -> None:
         """Another campaign's row."""
@@ -46,6 +48,7 @@ class Cell:
             self.made += 1
             self.never |= off_ms == "never"
             late = off_ms == "never" or (off_ms is not None and deadline_ms is not None and off_ms > deadline_ms)
+            self.wrong_ms = max(self.wrong_ms, attempt.get("wrong_ms") or 0.0)
             self.right += not late and not attempt["faults"]
             if isinstance(off_ms, (int, float)):
                 self.worst_ms = max(off_ms, self.worst_ms or 0.0)
@@ -54,7 +57,8 @@ class Cell:
         if not self.made:
             return "–"
         time = "still on, " if self.never else "" if self.worst_ms is None else f"{self.worst_ms:.1f} ms, "
-        text = f"{time}{self.right} of {self.made}"
+        stance = f"{self.wrong_ms:.0f} ms in stance, " if self.wrong_ms else ""
+        text = f"{time}{stance}{self.right} of {self.made}"
         return text if self.right == self.made else f"**{text}**"
 
 

@@ -128,15 +128,21 @@ def spawn_device(
 class ImuHandle(ProcessHandle):
     """A running sensor: ``port`` is what the host opens, ``t0_ns`` when its clock stood at its offset."""
 
-    def __init__(self, arguments: Sequence[str]) -> None:
+    def __init__(self, arguments: Sequence[str], record: Path | None = None) -> None:
         module = "drivers.simulated.imu.process"
-        super().__init__("the simulated sensor", module, arguments, lost=ImuLost, timeout_s=30.0)
+        super().__init__("the simulated sensor", module, arguments, lost=ImuLost, timeout_s=30.0, record=record)
         self.t0_ns = int(self.ready["t0_ns"])
 
     def clear(self) -> None:
         """End the faults that last."""
         for name in (*LASTING, *sorted(LINE_FAULTS)):
             self.inject(name, 0.0)
+
+    def played(self) -> list[tuple[int, int]]:
+        """Its record: time (ns) and number in the signal of each sample that did not follow on the one before."""
+        written = self.record.read_text(encoding="utf-8") if self.record is not None else ""
+        entries = map(json.loads, written.split("\n")[:-1])  # what stands behind the last end of a line is on its way
+        return [(entry["t_ns"], entry["played"]) for entry in entries]
 
 
 def spawn_imu(
@@ -152,16 +158,18 @@ def spawn_imu(
     id_offset: int = 0,
     options: Mapping[str, str | int | float | bool] | None = None,
     name: str = "imu",
+    record: Path | None = None,
 ) -> ImuHandle:
     """Start ``python -m drivers.simulated.imu.process`` and wait until it is ready.
 
     It feels what ``sensor`` feels in ``recording``, or in a simulated walk, ``rate_hz`` times a second by a clock
     that begins at ``offset_s`` and drifts by ``drift_ppm``. ``line`` is for ``xbus`` and ``ximu3``, ``bus`` for
     ``xsens_can`` (with ``id_offset``) and ``dbc_can`` (with ``options`` as in a session's settings), ``name`` for LSL.
+    ``record``: the file for :meth:`ImuHandle.played`.
 
     Raises:
         ImuLost: it ended, or was not ready in time.
     """
     arguments = _options(device=device, sensor=sensor, rate=rate_hz, offset=offset_s, drift=drift_ppm, line=line)
     arguments += _options(id_offset=id_offset, name=name, recording=recording, bus=bus and bus.model_dump_json())
-    return ImuHandle(arguments + _options(options=None if options is None else json.dumps(dict(options))))
+    return ImuHandle(arguments + _options(options=None if options is None else json.dumps(dict(options))), record)

@@ -44,12 +44,15 @@ from fes.hil.results import (
     resumed_after,
     with_late_pulses,
 )
-from fes.hil.scenarios import Effect, Needs, Scenario
+from fes.hil.scenarios import Effect, Moment, Needs, Scenario
 from fes.hil.settings import CHANNEL, CURRENT_MA, DOSE_MC, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
 
 INTO_BURST_MS: Final = (60.0, 100.0, 140.0, 180.0, 80.0, 120.0, 160.0)  # by turns; a swing lasts 400 ms
+INTO_STANCE_MS: Final = (60.0, 180.0, 300.0)  # after the burst's end; a stance lasts 600 ms
+RESTS_S: Final = 0.5
+STRIDE_S: Final = 1.0  # a fault that may take a stride to tell may see a further burst begin
 TRIES: Final = 4  # a burst may have ended by itself while the fault was on its way
 LOST_MS: Final = 250.0
 END_S: Final = 15.0
@@ -76,12 +79,13 @@ def make_attempt(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
         CampaignBroken: it could not be brought about.
     """
     bench.value = scenario.value(n)
-    found = _JUDGES[scenario.effect](bench, scenario, n)
+    judge = _JUDGES[scenario.effect] if scenario.moment is Moment.SWING else _lies_before_a_burst
+    found = judge(bench, scenario, n)
     return replace(found, value=f"{bench.value:g} {scenario.unit}") if scenario.values else found
 
 
 def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
-    inject, heal = INJECTIONS[scenario.name]
+    inject, heal = INJECTIONS[scenario.injected]
     for _ in range(TRIES):
         bench.prepare(scenario.variant)
         bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])
@@ -107,7 +111,8 @@ def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
             continue
         last_ms = max((o.last_pulse_ns - t_ns) / MS for o in stretches)
         off_ms = off_after_ms(stretches, t_ns)
-        if resumed_after(stretches, t_ns):
+        told_ns = t_ns + (int(deadline_s * NS_PER_S) if deadline_s >= STRIDE_S else 0)
+        if resumed_after(stretches, told_ns):
             faults.append("current again without arming")
         misnamed = reason_faults(named, scenario) if scenario.effect is Effect.LATCHED else []
         machine_only = misnamed and not faults and off_ms <= deadline_s * 1e3
@@ -122,8 +127,45 @@ def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
             except CampaignBroken as error:
                 bench.end_session()
                 faults.append(f"cannot be armed again: {error}")
-        return Attempt(off_ms, last_ms, named, tuple(faults))
+        wrong_ms = bench.wrong_phase_ms(stretches, t_ns)
+        return Attempt(off_ms, last_ms, named, tuple(faults), wrong_ms=wrong_ms)
     raise CampaignBroken(f"no burst lasted until the fault was there, {TRIES} times")
+
+
+def _lies_before_a_burst(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """Brought about where no current flows: within a stride of walking none may, and it is latched and named."""
+    inject, heal = INJECTIONS[scenario.injected]
+    rests = scenario.moment is Moment.REST
+    bench.prepare(scenario.variant, walks=not rests)
+    if rests:
+        bench.observe(RESTS_S)
+        inject(bench, n)
+        bench.observe(RESTS_S)
+        t_ns = time.monotonic_ns()
+        bench.stand(False)
+    else:
+        bench.in_burst(INTO_BURST_MS[0])
+        bench.out_of_burst()
+        bench.observe(1e-3 * INTO_STANCE_MS[n % len(INTO_STANCE_MS)])
+        t_ns = inject(bench, n)
+    deadline_s = (scenario.deadline_ms or 0.0) * 1e-3
+    bench.observe(max(0.0, t_ns * 1e-9 + deadline_s - time.monotonic()) + scenario.watch_s)
+    named, latched = stated_reason(bench), is_latched(bench)
+    stretches = bench.outputs(t_ns - NS_PER_S)
+    heal(bench)
+    faults = [] if latched else ["not latched"]
+    if latched and reason_faults(named, scenario) and bench.was_away(named, t_ns - BEFORE_NS, time.monotonic_ns()):
+        return Attempt(named=named, away=True)
+    faults += reason_faults(named, scenario)
+    wrong_ms = bench.wrong_phase_ms(stretches, t_ns)
+    pulses_ms = [(output.last_pulse_ns - t_ns) / MS for output in stretches if output.last_pulse_ns > t_ns]
+    if bench.session().alive:
+        try:
+            bench.arm()
+        except CampaignBroken as error:
+            bench.end_session()
+            faults.append(f"cannot be armed again: {error}")
+    return Attempt(off_after_ms(stretches, t_ns), max(pulses_ms, default=-1.0), named, tuple(faults), wrong_ms=wrong_ms)
 
 
 def _left_behind(bench: CampaignBench, scenario: Scenario, t_ns: int) -> list[str]:
@@ -162,7 +204,7 @@ def _ended(bench: CampaignBench, t_ns: int) -> list[str]:
 
 def _no_effect(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
     """The walk goes on with the next burst."""
-    inject, heal = INJECTIONS[scenario.name]
+    inject, heal = INJECTIONS[scenario.injected]
     bench.prepare(scenario.variant)
     bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])
     t_ns = inject(bench, n)
@@ -184,7 +226,7 @@ def _no_effect(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
 
 def _no_burst_begins(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
     """Brought about while the patient stands, armed: they walk, and nothing is stimulated; nor can it be armed."""
-    inject, heal = INJECTIONS[scenario.name]
+    inject, heal = INJECTIONS[scenario.injected]
     bench.prepare(scenario.variant, walks=False)
     t_ns = inject(bench, n)
     bench.stand(False)
@@ -216,7 +258,7 @@ def _no_burst_begins(bench: CampaignBench, scenario: Scenario, n: int) -> Attemp
 
 def _nothing_executed(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
     """What others send is refused by the stimulator, and it does nothing that the session did not ask for."""
-    inject, heal = INJECTIONS[scenario.name]
+    inject, heal = INJECTIONS[scenario.injected]
     for _ in range(TRIES):
         bench.prepare(scenario.variant)
         bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])

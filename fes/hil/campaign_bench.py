@@ -1,7 +1,7 @@
 """Everything that a campaign runs: devices, the session under test, the scripted operator; and waiting for things."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Final
@@ -10,7 +10,7 @@ from drivers.simulated.record import RecordEntry
 from fes.hil.baseline import Gap
 from fes.hil.controller import Child, ControllerProcess, uninterrupted
 from fes.hil.devices import Devices, Hardware
-from fes.hil.results import MS, Output, Outputs, output_at
+from fes.hil.results import MS, Output, Outputs, output_at, overlap_ms
 from fes.hil.scenarios import Needs, Scenario
 from fes.live.status import Status
 from fes.signals import NS_PER_S
@@ -211,6 +211,20 @@ class CampaignBench:
                 end_s = time.monotonic() + BURST_S
             time.sleep(LOOK_S)
         raise CampaignBroken(f"no burst for {BURST_S:g} s; last: {self.status()}")
+
+    def out_of_burst(self) -> None:
+        """Wait until no current flows any more."""
+        end_s = time.monotonic() + BURST_S
+        while time.monotonic() < end_s and output_at(self.outputs((now_ns := time.monotonic_ns()) - NS_PER_S), now_ns):
+            time.sleep(LOOK_S)
+
+    def wrong_phase_ms(self, stretches: Sequence[Output], since_ns: int) -> float | None:
+        """For how long current flowed since then while the foot was in stance, in truth; None where nobody knows."""
+        if not isinstance(self.equipment, Devices):
+            return None
+        now_ns = time.monotonic_ns()
+        stances_ns = self.equipment.stances_ns(since_ns, now_ns)
+        return None if stances_ns is None else overlap_ms(stretches, stances_ns, now_ns)
 
     def outputs(self, since_ns: int = 0) -> list[Output]:
         """What the stimulator has put out since then, as far as it is kept: ten minutes."""

@@ -34,7 +34,7 @@ from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session
 from fes.hil.closed_loop.bench import PatientHandle, PatientSensor, campaign_patient
 from fes.hil.scenarios import SCENARIOS, Needs, Scenario
-from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, STANDS_S, session_text, walker
+from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, STANDS_S, Walker, session_text, walker
 
 TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
 SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
@@ -62,7 +62,7 @@ class Devices:
     folder: Path
     transport: str
     calibration: Path
-    recording: Path
+    walked: Walker
     stimulator: StimulatorDevice
     front: Bus | None
     back: Bus | None
@@ -79,6 +79,7 @@ class Devices:
     _tail: RecordReader = field(init=False)
     _left: list[RecordEntry] = field(default_factory=list)
     _replaced: int = 0
+    _sensors: int = 1
     _stands: bool = False
 
     def __post_init__(self) -> None:
@@ -115,6 +116,12 @@ class Devices:
         self._stands = stands
         self.imu.inject("stand", STANDS_S if stands else 0.0)
 
+    def stances_ns(self, since_ns: int, until_ns: int) -> list[tuple[int, int]] | None:
+        """From when to when the foot was in stance, in truth; None with a virtual patient, whose feet nobody asks."""
+        if isinstance(self.imu, PatientSensor):
+            return None
+        return self.walked.stances_ns(self.imu.played(), since_ns, until_ns)
+
     def sensor_replugged(self) -> None:
         """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
         set_link(self.sensor_port, self.spare.port)
@@ -123,7 +130,8 @@ class Devices:
         if self.patient is not None:
             self.spare = PatientSensor(self.patient)
         else:
-            self.spare = spawn_imu("xbus", sensor=FOOT, recording=self.recording, rate_hz=RATE_HZ)
+            self._sensors += 1
+            self.spare = _sensor(self.folder, self.walked, self._sensors)
             self.stack.callback(self.spare.stop)
         self.stand(self._stands)
 
@@ -148,6 +156,11 @@ class Devices:
         return self.button
 
 
+def _sensor(folder: Path, walked: Walker, number: int) -> ImuHandle:
+    record = folder / f"sensor{number}.jsonl"
+    return spawn_imu("xbus", sensor=FOOT, recording=walked.recording, rate_hz=RATE_HZ, record=record)
+
+
 def set_link(link: Path, target: str) -> None:
     """Make a symbolic link, or turn it to another target in one step."""
     new = link.with_name(link.name + ".new")
@@ -167,13 +180,14 @@ def start_devices(
         Unavailable: the transport is not to be had here, or a device does not start.
     """
     try:
-        recording, calibration = walker(folder)
+        walked = walker(folder)
+        calibration = walked.calibration
         patient, pulses = None, None
         if closed_loop:
             patient, calibration, pulses = campaign_patient(folder, stack)
         front, back, link, node, stimulator = _stimulator(transport, folder, stack, channel, pulses)
         imus: list[Sensor] = (
-            [spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) for _ in range(2)]
+            [_sensor(folder, walked, number) for number in range(2)]
             if patient is None
             else [PatientSensor(patient, patient.ports[FOOT]), PatientSensor(patient)]
         )
@@ -194,7 +208,7 @@ def start_devices(
         Needs.BUTTON: button_bus is not None,
     }
     return Devices(
-        folder, transport, calibration, recording, stimulator, front, back, link, node, imus[0], imus[1], stack,
+        folder, transport, calibration, walked, stimulator, front, back, link, node, imus[0], imus[1], stack,
         frozenset(need for need, met in capabilities.items() if met), button_bus, patient=patient, pulses=pulses,
     )  # fmt: skip
 

@@ -143,6 +143,13 @@ def _axis_stuck(first: int) -> Inject:
     return lambda bench, n: bench.devices.imu.inject("held_alive", 1 << (first + round(bench.value) - 1))
 
 
+def _late(bench: CampaignBench, n: int) -> int:
+    """Samples come late, and say that they are not."""
+    t_ns = bench.devices.imu.inject("delay", bench.value)
+    bench.devices.imu.inject("jump", bench.value)
+    return t_ns
+
+
 def _times(name: str) -> Inject:
     """One triad's values times the attempt's."""
     return lambda bench, n: bench.devices.imu.inject(name, bench.value)
@@ -293,6 +300,8 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_rate_axis_stuck": (_axis_stuck(3), _clear),
     "imu_force_scaled": (_times("force_scaled"), _clear),
     "imu_rate_scaled": (_times("rate_scaled"), _clear),
+    "imu_dangling": (_sensor("dangling"), _clear),
+    "imu_late": (_late, _clear),
     "imu_nan": (_sensor("nan", MANY), _clear),
     "imu_inf": (_sensor("inf", MANY), _clear),
     "imu_saturated": (_sensor("full"), _clear),

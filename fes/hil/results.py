@@ -146,6 +146,12 @@ def with_late_pulses(stretches: Iterable[Output], first: Output) -> list[Output]
     return chain
 
 
+def overlap_ms(stretches: Iterable[Output], spans_ns: Iterable[tuple[int, int]], now_ns: int) -> float:
+    """For how long current flowed within these spans, in ms; what is still on flows until now."""
+    known = [(output.on_ns, now_ns if output.off_ns is None else output.off_ns) for output in stretches]
+    return sum(max(min(to_ns, off) - max(from_ns, on), 0) for from_ns, to_ns in spans_ns for on, off in known) / MS
+
+
 def length_ms(chain: Sequence[Output], now_ns: int) -> float:
     """How long a stretch of current lasted, in ms, with what followed it."""
     return ((now_ns if chain[-1].off_ns is None else chain[-1].off_ns) - chain[0].on_ns) / MS
@@ -172,6 +178,7 @@ class Attempt:
         faults: what was wrong with the answer besides its time.
         notice: anything else worth a line.
         value: what the fault was brought about with, in words.
+        wrong_ms: for how long from the fault on current flowed while the foot was in stance, in truth; None: not known.
         away: something else took the session off: this machine lost time, and an idle loop beside it saw that. No
             verdict; it is made again.
     """
@@ -183,6 +190,7 @@ class Attempt:
     notice: str = ""
     value: str = ""
     away: bool = False
+    wrong_ms: float | None = None
 
 
 @dataclass(slots=True)
@@ -197,6 +205,10 @@ class Row:
     def times_ms(self) -> list[float]:
         """Of the attempts in which something had to go off."""
         return [attempt.off_ms for attempt in self.attempts if attempt.off_ms is not None]
+
+    def most_wrong_ms(self) -> float | None:
+        """The most current in a true stance of any attempt; None: not known."""
+        return max((each.wrong_ms for each in self.attempts if each.wrong_ms is not None), default=None)
 
     def within(self) -> int:
         """How many of them were in time."""
@@ -265,8 +277,8 @@ class Campaign:
             f"Transport {self.transport}, {self.started}, {self.seconds / 60:.1f} minutes. {self.baseline}.",
             "",
             "| fault, in swing, current on | required response | deadline | output off after (median / worst) | "
-            "last pulse (worst) | in time | named | verdict |",
-            "|---|---|---|---|---|---|---|---|",
+            "last pulse (worst) | current in a true stance (worst) | in time | named | verdict |",
+            "|---|---|---|---|---|---|---|---|---|",
         ]
         for notice in reversed(self.notices):
             lines[1:1] = ["", notice]
@@ -301,6 +313,7 @@ def _row(row: Row, machine_ms: float) -> dict[str, Any]:
         "away": row.away,
         "attempts": [_attempt(attempt) for attempt in row.attempts],
         "in_time": row.within(),
+        "most_wrong_ms": row.most_wrong_ms(),
         **dict(zip(names, spread, strict=True)),
         "verdict": str(row.verdict(machine_ms)),
         "failure_reason": failure_reason(row),
@@ -314,6 +327,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
     return {
         "off_ms": number(attempt.off_ms),
         "last_pulse_ms": number(attempt.last_pulse_ms),
+        "wrong_ms": number(attempt.wrong_ms),
         **{"named": attempt.named, "faults": attempt.faults, "remark": attempt.notice, "value": attempt.value},
     }
 
@@ -331,5 +345,7 @@ def _line(row: Row, machine_ms: float) -> str:
     named = next((attempt.named for attempt in row.attempts if attempt.named), "–")
     verdict = str(row.verdict(machine_ms))
     outcome = f"{verdict}: {failure_reason(row)}" if failure_reason(row) else verdict
-    cells = (scenario.fault, scenario.response, deadline, measured_times(row), last, in_time, named, outcome)
+    wrong_ms = row.most_wrong_ms()
+    wrong = "–" if wrong_ms is None else _ms(wrong_ms)
+    cells = (scenario.fault, scenario.response, deadline, measured_times(row), last, wrong, in_time, named, outcome)
     return "| " + " | ".join(cell.replace("|", "/").replace("\n", " ") for cell in cells) + " |"

@@ -1,6 +1,6 @@
 """The faults of a campaign as a table: one row, one fault; how each is brought about is in ``injections``."""
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
 from typing import Final
 
@@ -16,6 +16,14 @@ class Effect(StrEnum):
     NOT_EXECUTED = "nothing executed"
     BOUNDED = "the burst ends by itself"
     DOSED = "the charge of a minute ends it"
+
+
+class Moment(StrEnum):
+    """When a fault is brought about."""
+
+    SWING = "in swing, current on"
+    STANCE = "in stance"
+    REST = "at rest, before they set off"
 
 
 class Needs(StrEnum):
@@ -50,6 +58,8 @@ class Scenario:
         watch_s: how long it must stay off (or go on) after the deadline; a stride and more.
         values: what the fault is brought about with, by turns; however few repeats are asked for, each comes once.
         unit: of the values.
+        moment: in stance no current flows, and what is asked for is that none does by the deadline and that it is
+            latched; at rest the deadline counts from when the patient sets off.
     """
 
     name: str
@@ -65,11 +75,17 @@ class Scenario:
     watch_s: float = 1.5
     values: tuple[float, ...] = ()
     unit: str = ""
+    moment: Moment = Moment.SWING
 
     @property
     def expected_words(self) -> tuple[str, ...]:
         """The reason that the session states must hold one of these; empty: any."""
         return tuple(filter(None, self.reasons.split("|")))
+
+    @property
+    def injected(self) -> str:
+        """What is brought about: the same at every moment."""
+        return self.name if self.moment is Moment.SWING else self.name.removesuffix(f"_{self.moment.name.lower()}")
 
     def attempts(self, repeat: int) -> int:
         """How many are made when ``repeat`` are asked for."""
@@ -106,11 +122,12 @@ _STAYS = "the stimulator's lease; notices the gap itself, stays off"
 _BACK = "off; reconnects by itself, is never armed by itself"
 _OPENED = "off by lease; opened again; armed by hand"
 _RETRY = "one retry, then off"
-_CONTRADICTS = "feel it|do not fit|gravity|dangle"
+_CONTRADICTS = "feel it|do not fit|gravity|dangle|stuck"
+_LATE = "silent|late|old|data"
 _HELD_UP = "stalled|late|old|lease expired"  # stopped between looking up and hearing the stimulator, that speaks first
 
 # fmt: off
-SCENARIOS: Final[tuple[Scenario, ...]] = (
+_ROWS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_silent", "sensor silent", 100, "old|lost|no data", response=_BACK),
     Scenario("imu_unplugged", "sensor unplugged, plugged in again", 100, "old|lost|no data", response=_BACK),
     Scenario("imu_frozen", "sensor repeats one value", 100, "frozen"),
@@ -125,9 +142,12 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_force_scaled", "accelerometer × 0.5, 0.8, 1.25, 2", 1500, _CONTRADICTS + "|unit|take",
              values=(0.5, 0.8, 1.25, 2.0)),
     Scenario("imu_rate_scaled", "gyroscope × 0.5, 2", 1500, _CONTRADICTS + "|unit|take", values=(0.5, 2.0)),
+    Scenario("imu_dangling", "sensor hangs from its cable and swings", 1500, _CONTRADICTS + "|remounted"),
+    Scenario("imu_late", "samples late by 0.3, 0.6 s, their stamps shifted by as much", 100, _LATE,
+             values=(0.3, 0.6), unit="s"),
     Scenario("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
     Scenario("imu_inf", "infinite values", 100, "non-finite"),
-    Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit"),
+    Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit|feel it"),
     Scenario("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
     Scenario("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
     Scenario("imu_remounted", "sensor remounted, axes exchanged: while standing, armed", None, "remounted|calibration",
@@ -186,5 +206,28 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     _ends("log_writer_killed", "log writer kill -9"),
 )
 # fmt: on
+_LIES: Final = (
+    "imu_frozen",
+    "imu_force_frozen",
+    "imu_rate_frozen",
+    "imu_force_dead",
+    "imu_rate_stuck",
+    "imu_force_axis_stuck",
+    "imu_rate_axis_stuck",
+    "imu_force_scaled",
+    "imu_rate_scaled",
+    "imu_dangling",
+    "imu_late",
+)  # fmt: skip
 
+
+def _at(row: Scenario, moment: Moment) -> Scenario:
+    """The same lie of a sensor, where no current flows: told within a stride of the foot's moving."""
+    name = f"{row.name}_{moment.name.lower()}"
+    return replace(row, name=name, fault=f"{row.fault}, {moment}", deadline_ms=1500, moment=moment)
+
+
+SCENARIOS: Final = _ROWS + tuple(
+    _at(row, moment) for moment in (Moment.STANCE, Moment.REST) for row in _ROWS if row.name in _LIES
+)
 BY_NAME: Final = {scenario.name: scenario for scenario in SCENARIOS}

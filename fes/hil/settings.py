@@ -3,17 +3,23 @@
 In a campaign a simulated patient stands, walks a few strides, stands again, for ever.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, save
 from fes.config import Bus, StimulatorDevice
 from fes.recording import write_recording
 from fes.recording.write import toml_text
-from fes.signals import G_MPS2
+from fes.signals import G_MPS2, NS_PER_S, BoolArray
 from fes.simulation.forward import PatientSettings, VirtualPatient, recorded_walk, settings_for
-from fes.simulation.forward.closed_loop import calibration_walk
+from fes.simulation.forward.closed_loop import calibration_walk, walk_with_truth
+from statemachine.phases import Phase
 
 FOOT: Final = "right_foot"
 RATE_HZ: Final = 100.0
@@ -73,12 +79,42 @@ belt_speed_mps = {speed_mps}
 """
 
 
-def walker(folder: Path) -> tuple[Path, Path]:
-    """Write the recording that the simulated sensor plays round and round, and its calibration; both paths."""
+@dataclass(frozen=True, slots=True)
+class Walker:
+    """The recording that the simulated sensor plays round and round, its calibration, and which samples are stance.
+
+    ``in_stance`` (N,) bool, :data:`RATE_HZ` a second: the foot lay flat on the ground, in truth.
+    """
+
+    recording: Path
+    calibration: Path
+    in_stance: BoolArray
+
+    def stances_ns(self, played: Sequence[tuple[int, int]], since_ns: int, until_ns: int) -> list[tuple[int, int]]:
+        """From when to when the foot was in stance, by what the sensor played (``ImuHandle.played``)."""
+        spans: list[tuple[int, int]] = []
+        for (t_ns, first), (next_ns, _) in pairwise([*played, (until_ns, 0)]):
+            count = max(math.ceil((next_ns - t_ns) * RATE_HZ / NS_PER_S), 0)
+            flat = np.concatenate([[False], self.in_stance[first : first + count], [False]])
+            edges = np.flatnonzero(flat[1:] != flat[:-1])
+            for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+                from_ns, to_ns = (t_ns + round(edge / RATE_HZ * NS_PER_S) for edge in (begin, end))
+                if to_ns > since_ns and from_ns < until_ns:
+                    spans.append((max(from_ns, since_ns), min(to_ns, until_ns)))
+        return spans
+
+
+def walker(folder: Path) -> Walker:
+    """Write its files."""
     recording, calibration = folder / "walker.parquet", folder / "walker.calibration.json"
-    write_recording(recorded_walk(_PATIENT, WALKS_S, STOPS_S, "walker", "simulated"), recording, overwrite=True)
+    walked, truth = walk_with_truth(_PATIENT, WALKS_S, STOPS_S, "walker", "simulated")
+    write_recording(walked, recording, overwrite=True)
     save(calibrate_phase_sensors(recorded_walk(_PATIENT, CALIBRATION_S, STOPS_S, "walker", "simulated")), calibration)
-    return recording, calibration
+    t_ns = walked.tracks[FOOT].t_sensor_ns
+    grid_ns = t_ns[0] + np.arange(len(t_ns)) * round(NS_PER_S / RATE_HZ)
+    foot = truth.feet[FOOT]
+    at = np.clip(np.searchsorted(foot.t_ns, grid_ns), 0, len(foot.t_ns) - 1)
+    return Walker(recording, calibration, foot.phase[at] == Phase.STANCE)
 
 
 CURRENT_MA: Final = 60.0

@@ -53,11 +53,12 @@ from fes.hil.results import (
     length_ms,
     off_after_ms,
     output_at,
+    overlap_ms,
     resumed_after,
     with_late_pulses,
 )
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
-from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, session_text
+from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, Walker, session_text
 from fes.live.status import Status
 from fes.signals import StimCommand
 
@@ -214,7 +215,7 @@ def test_a_record_is_read_once_and_only_whole_lines(tmp_path: Path) -> None:
 
 
 def test_every_row_can_be_brought_about_and_every_injection_has_a_row() -> None:
-    assert set(INJECTIONS) == set(BY_NAME)
+    assert set(INJECTIONS) == {scenario.injected for scenario in SCENARIOS}
     assert len(BY_NAME) == len(SCENARIOS)
 
 
@@ -248,6 +249,38 @@ def test_one_triad_of_a_simulated_sensor_is_scaled_alone() -> None:
         assert device._reading(0).acc_mps2 == (acc,) * 3
         assert device._reading(0).gyr_radps == (gyr,) * 3
         device.set_fault(0, fault, 0.0)
+
+
+def test_a_sensor_that_dangles_feels_the_pull_of_its_cable_alone_and_turns() -> None:
+    device = SimulatedImu(LslWire(), ImuSignal(100.0, np.full((20, 3), 3.0), np.full((20, 3), 2.0)), 0)
+    device.set_fault(0, "dangling", 1.0)
+    shown = []
+    for t_ns in range(0, 3 * 10**9, 10_000_000):
+        device.advance(t_ns)
+        shown.append(device._reading(0))
+    force, rate = np.array([each.acc_mps2 for each in shown]), np.array([each.gyr_radps for each in shown])
+    assert np.abs(force[:, 1:]).max() < 0.1
+    assert force[:, 0].min() > 8.0
+    assert force[:, 0].max() < 12.0
+    assert np.ptp(rate[:, 1]) > 2.0
+
+
+def test_what_was_played_says_when_the_foot_was_in_stance() -> None:
+    played: list[tuple[int, int]] = []
+    signal = ImuSignal(100.0, np.zeros((20, 3)), np.zeros((20, 3)))
+    device = SimulatedImu(LslWire(), signal, 0, jumped=lambda t_ns, sample: played.append((t_ns, sample)))
+    device.set_fault(0, "stand", 0.05)
+    device.advance(120 * MS)  # 13 samples: 0 to 4 twice, 0 to 2
+    device.set_fault(120 * MS, "stand", 0.0)
+    device.advance(400 * MS)
+    assert played == [(0, 0), (50 * MS, 0), (100 * MS, 0), (130 * MS, 5), (280 * MS, 0)]
+    in_stance = np.arange(20) < 8
+    in_stance[15:] = True
+    walked = Walker(Path("walk"), Path("calibration"), in_stance)
+    spans = walked.stances_ns(played, 60 * MS, 350 * MS)
+    assert [(a // MS, b // MS) for a, b in spans] == [(60, 100), (100, 130), (130, 160), (230, 280), (280, 350)]
+    current = [Output(150 * MS, 260 * MS, 260 * MS), Output(340 * MS, None, 340 * MS)]
+    assert overlap_ms(current, spans, 345 * MS) == 10.0 + 30.0 + 5.0
 
 
 def test_what_must_go_off_has_a_deadline() -> None:

@@ -103,14 +103,14 @@ def test_with_real_devices_it_wants_a_dummy_load_and_judges_by_what_the_bus_says
     bus = free_bus("loopback")
     if why := why_silent(bus):
         pytest.skip(f"no loopback multicast on this machine: {why}")
-    recording, calibration = walker(tmp_path)
+    walked = walker(tmp_path)
     with (
         spawn_node(bus=bus),
-        spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) as imu,
+        spawn_imu("xbus", sensor=FOOT, recording=walked.recording, rate_hz=RATE_HZ) as imu,
     ):
         settings = tmp_path / "real.toml"
         settings.write_text(session_text("", imu.port, bus, StimulatorDevice()))
-        command = [*FES, "hil", "--hardware", str(settings), "--calibration", str(calibration)]
+        command = [*FES, "hil", "--hardware", str(settings), "--calibration", str(walked.calibration)]
         command += ["--out", str(tmp_path / "out"), "--only", "stop_control", "--only", "controller_stopped"]
         refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert refused.returncode == UNUSABLE

@@ -2,11 +2,11 @@
 
 Faults, besides the line's own (:mod:`drivers.simulated.lines`): ``reboot`` (now: silent for 0.3 s, then clock and
 counter from 0), ``unit`` (values times this; 0 ends it), ``force_scaled`` / ``rate_scaled`` (one triad times this; 0
-ends it), ``stuck`` (1: repeats itself), ``held`` / ``held_alive`` (a
-sum of 1, 2, 4 for the accelerometer's axes and 8, 16, 32 for the gyroscope's: these keep what they showed last, to
-the bit or with noise; 0 ends it), ``clip`` (values held within ± this share of full scale; 0 ends it), ``full`` (1:
-every value at the end of its range), ``nan`` / ``inf`` / ``doubled`` (so many of the next samples), ``axes`` (1: sits
-turned, x measures what y did, y what z did; 0 ends it), ``drift`` (ppm of its clock from now on), ``jump`` (its
+ends it), ``stuck`` (1: repeats itself), ``held`` / ``held_alive`` (a sum of 1, 2, 4 for the accelerometer's axes and
+8, 16, 32 for the gyroscope's: these keep what they showed last, to the bit or with noise; 0 ends it), ``clip`` (values
+held within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``inf``
+/ ``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),
+``dangling`` (1: hangs from its cable and swings; 0 ends it), ``drift`` (ppm of its clock from now on), ``jump`` (its
 clock, by so many seconds, once), ``jumping`` (every eighth stamp is ahead by so many seconds; 0 ends it). ``stand``:
 its wearer stays within the first so many seconds of the signal, in which they stand, once they come there; 0: goes on
 at their end. A sensor that sends whole numbers, as most do on CAN, has no ``nan`` and no ``inf``: what it cannot
@@ -16,6 +16,7 @@ measure it sends as the end of its range, or not at all.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -42,6 +43,7 @@ LASTING: Final = (
     "inf",
     "doubled",
     "axes",
+    "dangling",
     "jumping",
 )  # until set to 0
 FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
@@ -49,6 +51,7 @@ NOT_FINITE: Final = ("nan", "inf")
 ACC_NOISE, GYR_NOISE = 0.05, 0.02  # m/s², rad/s
 JUMPING_EVERY: Final = 8  # more than one in twenty
 BOOT_NS: Final = 300_000_000
+CABLE_M, CABLE_SWING_RAD, CABLE_SPIN_RADPS = 0.3, 0.4, 1.5  # a sensor that has come off and hangs below the knee
 _NAN: Final = (math.nan, math.nan, math.nan)
 _INF: Final = (math.inf, -math.inf, math.inf)
 
@@ -118,7 +121,9 @@ class SimulatedImu(Device):
         drift_ppm: float = 0.0,
         acc_range_g: float = 16.0,
         gyr_range_dps: float = 2000.0,
+        jumped: Callable[[int, int], None] = lambda t_ns, played: None,
     ) -> None:
+        """``jumped`` is called with time and number in the signal of each sample that does not follow on the last."""
         self._wire = wire
         self._signal = signal
         self._acc_range = acc_range_g * G_MPS2
@@ -127,12 +132,14 @@ class SimulatedImu(Device):
         self._last: tuple[Vector3, Vector3] = signal.sample(0)
         self._played = 0
         self._held_at: tuple[float, ...] | None = None
+        self._jumped = jumped
         self._start(t_ns, int(offset_s * NS_PER_S), drift_ppm)
 
     def _start(self, t_ns: int, device_ns: int, drift_ppm: float) -> None:
         # the sampling beat is the device's crystal's: its drift changes the interval too
         self._t0_ns, self._device0_ns, self._drift = t_ns, device_ns, drift_ppm * 1e-6
         self._counter = self._beat = 0
+        self._follows: int | None = None  # the number in the signal that would be no jump
 
     def next_deadline_ns(self) -> int:
         """When the next sample is taken."""
@@ -147,6 +154,9 @@ class SimulatedImu(Device):
         out: list[bytes] = []
         while self.next_deadline_ns() <= t_ns:
             own_ns = self._own_ns()
+            if self._played != self._follows:
+                self._jumped(self.next_deadline_ns(), self._played)
+            self._follows = self._played + 1
             if self._values["jumping"] and self._counter % JUMPING_EVERY == 0:
                 own_ns += int(self._values["jumping"] * NS_PER_S)
             messages = self._wire.encode(self._reading(own_ns))
@@ -221,11 +231,28 @@ class SimulatedImu(Device):
             held_acc, held_gyr = _held(acc, 1e9, self._acc_range), _held(gyr, 1e9, self._gyr_range)
         if self._values["axes"]:
             held_acc, held_gyr = (*held_acc[1:], held_acc[0]), (*held_gyr[1:], held_gyr[0])
+        if self._values["dangling"]:
+            held_acc, held_gyr = _pendulum(self._counter / self._signal.rate_hz)
         if self._values.use_up("nan"):
             held_acc = _NAN
         if self._values.use_up("inf"):
             held_acc = held_gyr = _INF
         return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
+
+
+def _pendulum(t_s: float) -> tuple[Vector3, Vector3]:
+    """Force and rate of a small weight on a cable along its x axis: it feels nothing but the cable's pull."""
+    omega_radps = math.sqrt(G_MPS2 / CABLE_M)
+    angle_rad, spun_rad = CABLE_SWING_RAD * math.sin(omega_radps * t_s), CABLE_SPIN_RADPS * t_s
+    rate_radps = CABLE_SWING_RAD * omega_radps * math.cos(omega_radps * t_s)
+    alive = math.sin(t_s * math.tau * 31.0)
+    pull_mps2 = G_MPS2 * math.cos(angle_rad) + CABLE_M * rate_radps**2
+    force = (pull_mps2 + ACC_NOISE * alive, ACC_NOISE * alive, -ACC_NOISE * alive)
+    return force, (
+        CABLE_SPIN_RADPS + GYR_NOISE * alive,
+        rate_radps * math.cos(spun_rad),
+        -rate_radps * math.sin(spun_rad),
+    )
 
 
 def _held(values: Vector3, factor: float, most: float) -> Vector3:

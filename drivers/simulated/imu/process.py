@@ -86,6 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--id-offset", type=int, default=0, help="for xsens_can")
     parser.add_argument("--options", default="{}", help="for dbc_can: the options of the session's settings, as JSON")
     parser.add_argument("--name", default="imu", help="of the LSL stream")
+    parser.add_argument("--record", type=Path, help="where to put down, as JSON lines, when which sample was played")
     options = parser.parse_args(arguments)
     stop = stop_signals()
     try:
@@ -97,12 +98,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     real_time = become_real_time()
     now_ns = time.monotonic_ns()
-    device = SimulatedImu(wire, feels, now_ns, offset_s=options.offset, drift_ppm=options.drift)
-    publish_ready(port=end.port, real_time=real_time, t0_ns=now_ns)
-    try:
+    with contextlib.ExitStack() as stack:
+        stack.callback(end.unplug)
+        record = stack.enter_context((options.record or Path(os.devnull)).open("w", encoding="utf-8", buffering=1))
+
+        def jumped(t_ns: int, played: int) -> None:
+            print(json.dumps({"t_ns": t_ns, "played": played}), file=record)
+
+        device = SimulatedImu(wire, feels, now_ns, offset_s=options.offset, drift_ppm=options.drift, jumped=jumped)
+        publish_ready(port=end.port, real_time=real_time, t0_ns=now_ns)
         DeviceLoop(device, end, stop.fileno()).run()
-    finally:
-        end.unplug()
     return 0
 
 

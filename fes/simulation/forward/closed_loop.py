@@ -179,13 +179,20 @@ def patient_events(
 
 def recorded_walk(settings: PatientSettings, walk_s: float, after_s: float, name: str, description: str) -> Recording:
     """Stand for ``settings.stand_s``, walk for ``walk_s``, stop and stand until ``after_s`` later; not stimulated."""
+    return walk_with_truth(settings, walk_s, after_s, name, description)[0]
+
+
+def walk_with_truth(
+    settings: PatientSettings, walk_s: float, after_s: float, name: str, description: str
+) -> tuple[Recording, Truth]:
+    """As :func:`recorded_walk`, with what really happened."""
     patient = VirtualPatient(settings)
     begun_s = settings.stand_s + walk_s
     samples = list(patient.advance(round(begun_s * NS_PER_S)))
     if after_s:
         patient.stop()
         samples += patient.advance(round((begun_s + after_s) * NS_PER_S))
-    return recording_of(patient, samples, name, description)
+    return recording_of(patient, samples, name, description), truth_of(patient, name)
 
 
 def calibration_walk(settings: PatientSettings) -> Recording:
