@@ -62,7 +62,7 @@ class Devices:
     folder: Path
     transport: str
     calibration: Path
-    walked: Walker
+    walker: Walker
     stimulator: StimulatorDevice
     front: Bus | None
     back: Bus | None
@@ -120,7 +120,7 @@ class Devices:
         """From when to when the foot was in stance, in truth; None with a virtual patient, whose feet nobody asks."""
         if isinstance(self.imu, PatientSensor):
             return None
-        return self.walked.stances_ns(self.imu.played(), since_ns, until_ns)
+        return self.walker.stances_ns(self.imu.played(), since_ns, until_ns)
 
     def sensor_replugged(self) -> None:
         """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
@@ -131,7 +131,7 @@ class Devices:
             self.spare = PatientSensor(self.patient)
         else:
             self._sensors += 1
-            self.spare = _sensor(self.folder, self.walked, self._sensors)
+            self.spare = _sensor(self.folder, self.walker, self._sensors)
             self.stack.callback(self.spare.stop)
         self.stand(self._stands)
 
