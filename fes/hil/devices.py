@@ -156,9 +156,9 @@ class Devices:
         return self.button
 
 
-def _sensor(folder: Path, walked: Walker, number: int) -> ImuHandle:
+def _sensor(folder: Path, worn_by: Walker, number: int) -> ImuHandle:
     record = folder / f"sensor{number}.jsonl"
-    return spawn_imu("xbus", sensor=FOOT, recording=walked.recording, rate_hz=RATE_HZ, record=record)
+    return spawn_imu("xbus", sensor=FOOT, recording=worn_by.recording, rate_hz=RATE_HZ, record=record)
 
 
 def set_link(link: Path, target: str) -> None:
