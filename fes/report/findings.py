@@ -30,6 +30,7 @@ _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "good": "No fault found in data and stimulation",
     "info": "No fault found in data and stimulation",
 }
+_VERDICT_OF_DATA: Final = "No fault found in the data"
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         yield Finding("alert", f"{count} noted, {where}. {remedy(first.text)}".rstrip())
     if done := summed_up(summary.by_hand):
         yield Finding("info", f"By hand: {done}.")
-    if not summary.channels:
+    if not summary.channels and summary.kind != "analysis":
         yield Finding("info", "No stimulation channel was set up.")
     if summary.thresholds:
         yield Finding("info", f"{capitalised(summary.thresholds)}.")
@@ -257,8 +258,10 @@ def front_page(
     levels = list(_VERDICTS)
     ordered = sorted(every, key=lambda finding: levels.index(finding.level))
     level: Level = ordered[0].level if ordered else "info"
+    only_data = summary.kind == "analysis" and not summary.channels and level in ("good", "info")
+    verdict = _VERDICT_OF_DATA if only_data else _VERDICTS[level]
     dose = {row.channel: row for row in summary.dose}
-    found = {"level": level, "verdict": _VERDICTS[level], "first": ordered[:FIRST], "others": ordered[FIRST:]}
+    found = {"level": level, "verdict": verdict, "first": ordered[:FIRST], "others": ordered[FIRST:]}
     doses = [(channel, dose.get(channel.channel)) for channel in summary.channels]
     return {**found, "cards": _cards(summary), "doses": doses}
 

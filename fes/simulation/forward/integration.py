@@ -14,6 +14,7 @@ from fes.simulation.forward.dynamics import (
     GRAVITY,
     NO_EVENT,
     PLAN_DUE,
+    PRE_SWING,
     STANCE,
     STUMBLE,
     SWING,
@@ -29,6 +30,7 @@ FLAT_RAD = math.radians(2.0)  # the truth's own criterion, see fes.simulation.tr
 HEEL_UP_M = 0.005
 CONTACT_FROM = 0.45  # share of the swing from which a heel on the ground is a contact
 FOREFOOT_FROM = 0.92  # … and the forefoot: before that it drags
+LIFTED_S = 0.15  # a burst may lift the foot so long before it would push off by itself
 BELT_RADPS = 2.5  # the belt reaches a new speed in about two seconds
 ROLL_AIR_RADPS, ROLL_GROUND_RADPS = 22.0, 45.0
 HANGS_FROM_RAD, HANGS_RAD = math.radians(2.0), math.radians(16.0)  # plantarflexion in which a foot begins to invert
@@ -72,7 +74,8 @@ def happened(leg: Record, t: float) -> int:
         tilt = math.hypot(leg.pitch, leg.roll)
         if tilt < FLAT_RAD and leg.heel_z < HEEL_UP_M and leg.ball_n > 0.0 and leg.heel_n > 0.0:
             return FLAT
-    if t >= leg.due_s:
+    lifted = leg.mode == PRE_SWING and t > leg.due_s - LIFTED_S and leg.heel_n + leg.ball_n + leg.toe_n <= 0.0
+    if t >= leg.due_s or lifted:
         return PLAN_DUE
     return NO_EVENT
 
