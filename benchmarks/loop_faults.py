@@ -1,6 +1,6 @@
 """Faults inside the loop, on patients of the tuning's cohort: is it safe, and is nothing learnt from bad strides?
 
-    python benchmarks/loop_faults.py [--first 0] [--patients 10] [--write docs/tuning.md]
+    python benchmarks/loop_faults.py [--first 0] [--patients 10] [--write docs/tuning_results.md]
 
 Each patient walks with run-to-run tuning, and after about fifteen strides one thing happens. Safe is a run in which the
 gate let nothing past its limits: it latched, or all settings stayed within the session's bounds and each pulse and

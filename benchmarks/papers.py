@@ -1,6 +1,6 @@
-"""The tables of the four papers, their published values beside ours; writes the tables of docs/evaluation.md.
+"""The tables of the four papers, their published values beside ours; writes the tables of docs/paper_tables.md.
 
-    python benchmarks/papers.py [--write docs/evaluation.md] [--json FILE]
+    python benchmarks/papers.py [--write docs/paper_tables.md] [--json FILE]
 
 Negård et al.: the bundled trials imitate their two patients (simulated: the same set-up, not the same people), held
 against the bundled 25 Hz ultrasonic reference in the lab's frame by Eq. (21) and (22), as `fes evaluate` does. Kumar et

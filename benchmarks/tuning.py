@@ -2,7 +2,7 @@
 
     python benchmarks/tuning.py --first 12000 --patients 50                         # an ordinary day, and from 10 mA
     python benchmarks/tuning.py --first 12000 --patients 50 --scenarios slip slow   # what happens, and to whom
-    python benchmarks/tuning.py --first 12000 --patients 50 --scenarios all --write docs/tuning.md
+    python benchmarks/tuning.py --first 12000 --patients 50 --scenarios all --write docs/tuning_results.md
     python benchmarks/tuning.py --first 300 --patients 40 --measured                # how the target is to be set
 
 Each patient (:mod:`tuning_cohort`) walks with no stimulation, with *fixed timing* (heel rise to contact, as a foot
