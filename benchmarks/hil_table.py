@@ -1,4 +1,4 @@
-"""One table of several fault campaigns: ``python benchmarks/hil_table.py out/hil-*/hil.json``, as docs/hil_results.md shows it.
+"""One table of several fault campaigns: ``python benchmarks/hil_table.py out/hil-*/hil.json``, for docs/hil_results.md.
 
 Rows are faults, columns transports. A cell holds the worst time from the fault to the end of the stimulator's output,
 for how long of it current flowed in a true stance, at most, where it did, and how many attempts were as required and in

@@ -1,6 +1,6 @@
 """What harms the virtual patient: bursts of different strength and onset, and what is counted of them.
 
-python benchmarks/virtual_harm.py [--write docs/virtual_patient.md]
+python benchmarks/virtual_harm.py [--write docs/virtual_patient_figures.md]
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def _muscle(r: Random, low_nm: float, high_nm: float) -> MuscleSettings:
         tau_calcium_s=r.uniform(0.022, 0.030),  # these three: a twitch of 0.1–0.2, contraction times of 50–70 ms
         tau_rise_s=r.uniform(0.055, 0.070),
         tau_fall_s=r.uniform(0.050, 0.070),
-        fatigue_s=_log_uniform(r, 60.0, 400.0),  # by endurance times, see docs/virtual_patient.md
+        fatigue_s=_log_uniform(r, 60.0, 400.0),  # by endurance times, see docs/virtual_patient_figures.md
         recovery_s=_log_uniform(r, 127.0, 1200.0),  # from Ding et al. 2003 on
     )
 

@@ -13,8 +13,8 @@ and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at hee
 - Activation with its own time constants, fatigue and recovery: Riener, Quintern & Schmidt, *J Biomech* 29 (1996).
 - Force against velocity: Hill's hyperbola for a muscle that shortens, up to 1.4 times as much for one stretched.
 
-Where the numbers come from: docs/virtual_patient.md. One record per leg, one for the belt. Angles: foot pitch and shank
-tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in the belt's frame, z up from
+Where the numbers come from: docs/virtual_patient_figures.md. One record per leg, one for the belt. Angles: foot pitch
+and shank tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in the belt's frame, z up from
 the ground. The electromechanical delay is applied where pulses come in (:mod:`fes.simulation.forward.patient`).
 """
 
@@ -99,7 +99,7 @@ TRACE: Final = (
 )  # fmt: skip
 
 
-# Hertz's law of a sphere, N/m^1.5: half the weight presses a heel in by 8 mm; see docs/virtual_patient.md.
+# Hertz's law of a sphere, N/m^1.5: half the weight presses a heel in by 8 mm; see docs/virtual_patient_figures.md.
 # The ball is two of them, beside the first and the fifth toe, and gives way by 5 mm.
 HEEL_N_PER_M15, BALL_N_PER_M15, TOE_N_PER_M15 = 5.5e5, 1.1e6, 2.0e5
 HEEL_M = 0.035  # radius of the heel, over which the foot rolls

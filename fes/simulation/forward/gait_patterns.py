@@ -5,7 +5,7 @@ Sagittal angles: the values at the ends of the eight phases of gait that Perry &
 them, then its first harmonics (Winter, *Biomechanics and Motor Control of Human Movement*, 4th ed., 2009, found six
 enough for gait), so that any number of derivatives is smooth. Segments and masses: Winter, table 4.1. Stride rate:
 Grieve & Gear, *Ergonomics* 9 (1966): ``64.8 (v/h)^0.57`` strides a minute. Entered from memory of these works; which
-numbers have been compared since is in docs/virtual_patient.md.
+numbers have been compared since is in docs/virtual_patient_figures.md.
 
 The five hemiparetic walks of Wang et al. (Tables 1 and 2) are settings of the affected leg. The paper gives only
 numbers: speed, stride length (SL), durations, the foot's greatest height (MHL) and rotation (MLR), and how much strides
