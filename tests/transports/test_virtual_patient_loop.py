@@ -9,7 +9,8 @@ What does not depend on that is asked for to the last bit, however the processes
 
 How far the whole run lies from one on injected time, over 42 s that begin with stumbles, is bounded well beyond what
 was measured in 14 runs beside much else (docs/virtual_patient_figures.md): phases 20.4 ms apart at most, bursts 10.7
-ms, or 20.7 ms with one of the processes stopped for 8 to 24 ms about once a second; the toe 2.83 mm, the last current 1.0 mA.
+ms, or 20.7 ms with one of the processes stopped for 8 to 24 ms about once a second; the toe 2.83 mm, the last current
+1.0 mA.
 """
 
 from __future__ import annotations
