@@ -15,7 +15,8 @@ and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at hee
 
 Where the numbers come from: docs/virtual_patient_figures.md. One record per leg, one for the belt. Angles: foot pitch
 and shank tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in the belt's frame,
-z up from the ground. The electromechanical delay is applied where pulses come in (:mod:`fes.simulation.forward.patient`).
+z up from the ground. The electromechanical delay is applied where pulses come in
+(:mod:`fes.simulation.forward.patient`).
 """
 
 import math
