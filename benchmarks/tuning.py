@@ -17,8 +17,9 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from random import Random
 from statistics import fmean, median, quantiles
@@ -67,12 +68,17 @@ class Event:
             self.acts[due](one)
 
 
+def as_drawn(settings: PatientSettings) -> PatientSettings:
+    """The patient as the cohort draws them."""
+    return settings
+
+
 @dataclass(frozen=True)
 class Scenario:
     """``who`` walks instead of the drawn patient, ``acts`` happen by stride, ``fault``: they are one to be named."""
 
     text: str
-    who: Callable[[PatientSettings], PatientSettings] = lambda settings: settings
+    who: Callable[[PatientSettings], PatientSettings] = as_drawn
     acts: dict[int, Callable[[VirtualPatient], None]] = field(default_factory=dict)
     fault: bool = False
     from_low: bool = False
@@ -289,10 +295,17 @@ def one_walk(
     return judge(done, session, event.times_ns if scenario.fault else ())
 
 
-def one_patient(seed: int, scenario: Scenario, methods: Sequence[str], rate_ma: float) -> dict[str, Result]:
+@lru_cache(maxsize=2)
+def prepared(seed: int, who: Callable[[PatientSettings], PatientSettings]) -> tuple[PatientSettings, Any, float]:
+    """The cohort's patient of this seed, calibrated, and the current of a competent user."""
+    settings, calibration, _ = patient(seed, who)
+    return settings, calibration, clinic_ma(settings, VirtualPatient(settings).geometry["right_foot"], calibration)
+
+
+def one_patient(seed: int, name: str, methods: Sequence[str], rate_ma: float) -> dict[str, Result]:
     """A patient of the cohort walks one scenario with each method."""
-    settings, calibration, _ = patient(seed, scenario.who)
-    clinic = clinic_ma(settings, VirtualPatient(settings).geometry["right_foot"], calibration)
+    scenario = SCENARIOS[name]
+    settings, calibration, clinic = prepared(seed, scenario.who)
     return {method: one_walk(settings, calibration, scenario, method, clinic, rate_ma) for method in methods}
 
 
@@ -376,6 +389,7 @@ def main() -> None:
     parser.add_argument("--scenarios", nargs="+", default=["day", "low"], choices=[*SCENARIOS, "all"])
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
     parser.add_argument("--rate-ma", type=float, default=5.0, help="most that the session lets one stride change")
+    parser.add_argument("--processes", type=int, default=1, help="at once")
     parser.add_argument("--each", action="store_true", help="a line a patient")
     parser.add_argument("--measured", action="store_true", help="only compare measured with true toe clearance")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
@@ -387,13 +401,17 @@ def main() -> None:
         print(f"measured above true, mm: {min(found):.1f} {low:.1f} {middle:.1f} {high:.1f} {max(found):.1f}")
         return
     table, faults = [HEAD], []
+    names = list(SCENARIOS) if "all" in asked.scenarios else asked.scenarios
+    walked: dict[str, list[dict[str, Result]]] = {name: [] for name in names}
+    with ProcessPoolExecutor(asked.processes) as pool:
+        task = partial(all_scenarios, names=names, methods=asked.methods, rate_ma=asked.rate_ma)
+        for seed, found in zip(seeds, pool.map(task, seeds), strict=True):
+            for name, one in found.items():
+                walked[name].append(one)
+                if asked.each:
+                    print(f"{name} {seed}: " + " | ".join(said(each) for each in one.values()), flush=True)
     print(HEAD)
-    for name in SCENARIOS if "all" in asked.scenarios else asked.scenarios:
-        every = []
-        for seed in seeds:
-            every.append(one_patient(seed, SCENARIOS[name], asked.methods, asked.rate_ma))
-            if asked.each:
-                print(f"{seed}: " + " | ".join(said(one) for one in every[-1].values()), flush=True)
+    for name, every in walked.items():
         table += rows(name, every)
         print("\n".join(rows(name, every)), flush=True)
         if SCENARIOS[name].fault:
@@ -404,6 +422,11 @@ def main() -> None:
         text = "\n".join([head, *table, "", *faults])
         before, rest = asked.write.read_text(encoding="utf-8").split(BEGIN)
         asked.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
+def all_scenarios(seed: int, names: Sequence[str], methods: Sequence[str], rate_ma: float) -> dict[str, Any]:
+    """One patient's walks, by scenario and method."""
+    return {name: one_patient(seed, name, methods, rate_ma) for name in names}
 
 
 def said(one: Result) -> str:

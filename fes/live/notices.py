@@ -66,7 +66,9 @@ def _channel_status(tuning: Tuners, number: int) -> TuningStatus:
     if tuner is None:
         return charge
     texts = {kind: report.text for (channel, kind), report in tuning.latest.items() if channel == number}
-    changes = [tuning.latest[number, kind] for kind in ("change", "roll_back") if (number, kind) in tuning.latest]
+    changes = [
+        tuning.latest[number, kind] for kind in ("change", "roll_back", "fault") if (number, kind) in tuning.latest
+    ]
     newest = max(changes, key=lambda report: report.t_ns, default=None)
     return replace(
         charge,
@@ -77,7 +79,7 @@ def _channel_status(tuning: Tuners, number: int) -> TuningStatus:
         why=texts.get("suggestion", "") if tuner.pending is not None else "",
         last_change="" if newest is None else newest.text,
         last_change_ns=0 if newest is None else newest.t_ns,
-        hint=texts.get("hint", ""),
+        hint=texts.get("fault", "") or texts.get("hint", ""),
     )
 
 

@@ -137,19 +137,36 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
     own = [row for row in summary.tuning if row.channel == channel.channel]
     if not own:
         return
-    changes, skipped = (sum(row.kind in kinds for row in own) for kinds in (("change", "roll_back"), ("skip",)))
-    currents = [i.peak_current_ma for row in summary.strides for i in row.stimulation if i.channel == channel.channel]
-    went = f", peak current from {currents[0]:.1f} to {currents[-1]:.1f} mA" if currents and changes else ""
-    text = f"{channel.name}: tuning made {count_of(changes, 'change')}{went}; {skipped} strides taught it nothing."
+    changes, skipped = [row for row in own if row.changes], sum(row.kind == "skip" for row in own)
+    stimulated = [
+        (row, i.peak_current_ma) for row in summary.strides for i in row.stimulation if i.channel == channel.channel
+    ]
+    went = ""
+    if stimulated and changes:
+        went = f", peak current from {stimulated[0][1]:.1f} to {stimulated[-1][1]:.1f} mA"
+        first, last = (
+            _stride_before(edge.time_s, [row for row, _ in stimulated]) for edge in (changes[0], changes[-1])
+        )
+        went += f", between strides {first} and {last}" if last > first else f", at stride {first}"
+        went += f" ({changes[0].text.split(': current')[0].split(': pulse width')[0]})"
+    made = count_of(len(changes), "change")
+    text = f"{channel.name}: tuning made {made}{went}; {skipped} strides taught it nothing."
     yield Finding("info", text)
     stopped = [row for row in own if STOPPED in row.text]
     back = [row for row in own if row.kind == "roll_back" and row not in stopped and STILL not in row.text]
     hints = [row for row in own if row.kind == "hint"]
-    for rows, what in ((stopped, "stopped"), (back, "went back"), (hints, "asks for a look")):
+    faults = [row for row in own if row.kind == "fault"]
+    told = ((faults, "found a fault"), (stopped, "stopped"), (back, "went back"), (hints, "asks for a look"))
+    for rows, what in told:
         if rows:
             often = f" {count_of(len(rows), 'time')}, first" if len(rows) > 1 else ""
             text = f"{channel.name}: tuning {what}{often} at {rows[0].time_s:.1f} s: {rows[0].text}."
             yield Finding("warning", text)
+
+
+def _stride_before(time_s: float, rows: Sequence[StrideRow]) -> int:
+    """The number of the last of these strides that had begun by then."""
+    return max((row.number for row in rows if row.start_s <= time_s), default=rows[0].number)
 
 
 def _toe_on_the_ground(summary: SessionSummary) -> Iterator[Finding]:

@@ -30,6 +30,7 @@ STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words i
 STILL: Final = "still going back"
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
     "skip": (" skipped: ",),
+    "fault": ("something has changed that stimulation did not",),
     "suggestion": ("suggested: ",),
     "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
     "frozen": ("tuning is frozen", "tuning goes on"),
@@ -282,12 +283,17 @@ def answers_without_command(commands: CommandColumns, statuses: StatusColumns) -
 
 @dataclass(frozen=True)
 class TuningRow:
-    """One thing the tuning said; ``kind``: change, suggestion, roll_back, frozen, hint, skip."""
+    """One thing the tuning said; ``kind``: change, suggestion, roll_back, fault, frozen, hint, skip."""
 
     time_s: float
     channel: int
     kind: str
     text: str
+
+    @property
+    def changes(self) -> bool:
+        """Whether the next burst's settings changed with it."""
+        return self.kind in ("change", "roll_back") or (self.kind == "fault" and "→" in self.text)
 
 
 @dataclass(frozen=True)
@@ -367,7 +373,7 @@ def tuning_lines(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[s
         steps = f"{row.median_step_uc:.0f} µC a step (median; most {row.greatest_step_uc:.0f})"
         times = f"{max(row.by_minute_mc, default=0.0):.2f} mC in the fullest minute, {row.session_mc:.2f} in all"
         lines.append(f"{row.name}: {steps}, {times}{' (estimated)' if row.estimated else ''}")
-        changes = [each for each in own if each.kind in ("change", "roll_back")]
+        changes = [each for each in own if each.changes]
         skipped = sum(each.kind == "skip" for each in own)
         last = f"; last at {changes[-1].time_s:.0f} s: {changes[-1].text}" if changes else ""
         lines.append(f"{row.name}: tuning made {len(changes)} changes, skipped {skipped} strides{last}")

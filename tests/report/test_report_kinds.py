@@ -157,7 +157,7 @@ def test_tuning_has_its_place_and_a_stumble_is_not_nothing(tmp_path: Path) -> No
     summary = summarise(record)
     (channel,) = summary.channels
     peaks = [item.peak_current_ma for row in summary.strides for item in row.stimulation]
-    changes = sum(row.kind in ("change", "roll_back") for row in summary.tuning)
+    changes = sum(row.changes for row in summary.tuning)
     told = f"{channel.name}: tuning made {changes} changes, peak current from {peaks[0]:.1f} to {peaks[-1]:.1f} mA"
     assert any(text.startswith(told) for text in texts(summary, "info"))
     stumbled = [stride.number for stride in walker.strides if stride.stumbled and stride.foot == channel.foot]
@@ -188,6 +188,12 @@ def test_a_foot_that_stopped_answering_is_a_warning() -> None:
         record = replace(make.walk(4), notes=[Note(make.at(8.0), "warning", "tuning", f"channel 0: {why}"), still])
         assert f"TA left: tuning stopped at 8.0 s: {why}." in texts(summarise(record), "warning")
         assert "No fault found" not in render_report(record)
+
+
+def test_an_electrode_that_slipped_is_a_warning_that_says_when() -> None:
+    why = "stride 5: something has changed that stimulation did not: most likely the electrodes; look at it"
+    record = replace(make.walk(6), notes=[Note(make.at(8.0), "warning", "tuning", f"channel 0: {why}")])
+    assert f"TA left: tuning found a fault at 8.0 s: {why}." in texts(summarise(record), "warning")
 
 
 def test_a_torn_log_is_judged_as_far_as_it_goes(tmp_path: Path, replays: Replays) -> None:

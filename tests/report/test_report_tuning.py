@@ -24,6 +24,7 @@ TEXTS = {
     "skip": "stride 17 skipped: the foot turned by 34°",
     "roll_back": "toe clearance 4 mm has got worse with the last changes: rolled back, current 32.0 → 30.0 mA",
     "frozen": "tuning is frozen (on demand); the settings stay as they are",
+    "fault": "stride 9: something has changed that stimulation did not: most likely the electrodes; look at it",
     "hint": "response per charge has fallen to 74 % of what it was at first",
 }
 
@@ -32,6 +33,13 @@ def notes() -> list[Note]:
     return [Note(T0 + n * S, "info", "tuning", f"channel {n % 2}: {text}") for n, text in enumerate(TEXTS.values())] + [
         Note(T0, "info", "session", "channel 0: suggested: no")
     ]
+
+
+def test_a_fault_changes_the_settings_only_where_it_says_how() -> None:
+    rows = {row.kind: row for row in tuning_rows(notes(), T0)}
+    assert [kind for kind, row in rows.items() if row.changes] == ["change", "roll_back"]
+    more = Note(T0, "warning", "tuning", f"channel 0: {TEXTS['fault']}. {TEXTS['change']}")
+    assert [(row.kind, row.changes) for row in tuning_rows([more], T0)] == [("fault", True)]
 
 
 def test_every_kind_of_note_is_told_apart() -> None:

@@ -145,7 +145,7 @@ def _alone(session: ComparedSession) -> Iterator[Finding]:
             yield Finding("warning", f"{label}, {side}: only {few}; its intervals are wide.")
         if valid < VALID_SHARE * found.found:
             yield Finding("warning", f"{label}, {side}: only {valid} of {found.found} strides are valid.")
-    changed = sum(row.kind in ("change", "roll_back") for row in session.summary.tuning)
+    changed = sum(row.changes for row in session.summary.tuning)
     if changed:
         tuned = f"the stimulation tuned itself {count_of(changed, 'time')} during the session"
         yield Finding("warning", f"{label}: {tuned}; its means mix what was before and after.")

@@ -1,17 +1,18 @@
 """Figures of the stimulation, the controller's latency, and the tuning: what it aimed at and what it set."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from fes.config import Channel
 from fes.report.figures.strides import FAINT_STRIDES
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.stimulation import ChannelInfo
+from fes.report.stimulation import ChannelInfo, TuningRow
 from fes.report.strides import StrideStimulation
 from fes.report.summary import ReportData
 from fes.report.text import readable
 from fes.signals import NS_PER_S
+from fes.stimulation.tuning.targets import pitch_at_contact_rad
 
 CHANNEL_COLORS = ("#009E73", "#CC79A7", "#0072B2", "#E69F00", "#000000", "#D55E00", "#56B4E9", "#8C7A00")
 ENVELOPE_STEP_S = 0.01
@@ -123,7 +124,8 @@ def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[
         return []
     start_s = np.array([row.start_s for row in rows])
     x_range = padded([start_s], share=0.03)
-    changes = [row for row in data.summary.tuning if row.channel == channel.number and row.kind == "change"]
+    said = [row for row in data.summary.tuning if row.channel == channel.number]
+    changes, faults = [row for row in said if row.changes], [row for row in said if row.kind == "fault"]
     figures = []
     band = channel.tuning.toe_clearance_m
     toe_cm = np.array([row.toe_clearance_cm for row in rows])
@@ -134,8 +136,11 @@ def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[
         plot.band(whole, np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
         titles = [f"stride {row.number}: {row.toe_clearance_cm:.1f} cm" for row in rows]
         plot.points(start_s, toe_cm, channel_color(channel.number), titles)
-        caption = "As measured in each stride; the band is the tuning's target."
+        for row in faults:
+            plot.upright(row.time_s, CHANGE_COLOR, "fault")
+        caption = f"As measured in each stride; the band is the tuning's target.{_faults(faults)}"
         figures.append(plot.figure(f"Toe clearance and target, {channel.name}", caption))
+    figures += _pitch_at_contact(data, channel, sensor, faults)
     own = [[item.peak_current_ma for item in row.stimulation if item.channel == channel.number] for row in rows]
     peak_ma = np.array([max(each, default=np.nan) for each in own])
     if np.isfinite(peak_ma).any():
@@ -144,6 +149,36 @@ def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[
         at_s = np.array([row.time_s for row in changes])
         level_ma = np.interp(at_s, start_s[np.isfinite(peak_ma)], peak_ma[np.isfinite(peak_ma)])
         plot.points(at_s, level_ma, CHANGE_COLOR, [row.text for row in changes])
+        for row in faults:
+            plot.upright(row.time_s, CHANGE_COLOR, "fault")
         caption = f"Greatest current of each stride; marked: {len(changes)} changes, with their reasons to hover over."
+        caption += _faults(faults)
         figures.append(plot.figure(f"What the tuning set, {channel.name}", caption))
     return figures
+
+
+def _pitch_at_contact(data: ReportData, channel: Channel, sensor: str, faults: Sequence[TuningRow]) -> list[Figure]:
+    """Foot pitch at initial contact per stride, with its target; none without one."""
+    band = channel.tuning.pitch_at_contact_deg if channel.tuning else None
+    strides = [stride for stride in data.record.strides if stride.foot == sensor and stride.valid]
+    pitch_deg = np.degrees([pitch_at_contact_rad(stride) for stride in strides])
+    if band is None or not np.isfinite(pitch_deg).any():
+        return []
+    start_s = np.array([(stride.t_start_ns - data.origin_ns) / NS_PER_S for stride in strides])
+    x_range = padded([start_s], share=0.03)
+    edges = np.array([band.low, band.high])
+    plot = Plot(
+        "foot pitch at contact per stride", "time (s)", "pitch, toe up (°)", x_range, padded([pitch_deg, edges])
+    )
+    plot.band(np.array(x_range), np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
+    titles = [f"stride {one.number}: {deg:.0f}°" for one, deg in zip(strides, pitch_deg, strict=True)]
+    plot.points(start_s, pitch_deg, channel_color(channel.number), titles)
+    for row in faults:
+        plot.upright(row.time_s, CHANGE_COLOR, "fault")
+    caption = f"As measured at each initial contact; the band is the tuning's target.{_faults(faults)}"
+    return [plot.figure(f"Foot pitch at contact and target, {channel.name}", caption)]
+
+
+def _faults(faults: Sequence[TuningRow]) -> str:
+    """What upright lines stand for; "" where there are none."""
+    return f" Upright: {'; '.join(f'{row.time_s:.0f} s, {row.text}' for row in faults)}." if faults else ""

@@ -1,6 +1,7 @@
 """Whether the foot answers to stimulation at all: one whose electrode has come off must not be given ever more.
 
-Two things show it. *A climb in vain*: over a run of strides below the target the drive has been raised, and a straight
+Two things show it. *A climb in vain*: over a run of strides below the target the drive has been raised, to near its
+upper bound (a foot whose threshold lies above the session's setting answers to nothing below it), and a straight
 line through level against drive rises by less than even a weak foot's would, two standard errors allowed for. *A sudden
 loss*: strides that lay well above those without stimulation lie among these, and more drive does not bring them back.
 The foot's pitch at contact is the best witness, for a hip that lifts a dragging leg hardly moves it; of several
@@ -19,12 +20,13 @@ from fes.stimulation.tuning.demand import BELIEVED, NOISE, NOISE_AT_CONTACT, SLO
 from fes.stimulation.tuning.guardrails import at_most, drive_of
 from fes.stimulation.tuning.targets import Reading
 
-CLIMB: Final = 0.3  # of drive: a session's setting may lie as far below what reaches the muscle
-LEAST_CLIMB: Final = 0.1  # where the bound leaves no more
+CLIMB: Final = 0.225  # of the drive at the upper bound: that much tried in vain …
+SEARCHED: Final = 0.8  # of it: no threshold is looked for above
+LEAST_CLIMB: Final = 0.075  # … or this, where the bound leaves no more
 STRIDES: Final = 5  # of a run, the first of them before the climb
 REMEMBERED: Final = 16
 STUMBLE: Final = 0.5  # of the band below the run's median: such a stride says nothing about the others
-WEAKEST: Final = SLOPE_BOUNDS[0]  # bands per drive: the weakest answer that is believed …
+WEAKEST: Final = SLOPE_BOUNDS[0]  # bands over the bound's whole range: the weakest answer that is believed …
 NONE: Final = 0.5 * WEAKEST  # … and what a foot that answers exceeds
 SDS: Final = 2.0
 BARE: Final = 6  # strides without stimulation that are remembered
@@ -48,9 +50,10 @@ class _SeenStride:
 
 
 class AnswerMonitor:
-    """Whether one channel's foot answers, stride by stride."""
+    """Whether one channel's foot answers, stride by stride; ``most`` is the drive at the intensity's upper bound."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: float) -> None:
+        self._most = most
         self._run: deque[_SeenStride] = deque(maxlen=REMEMBERED)  # since all targets were last reached
         self._recent: deque[_SeenStride] = deque(maxlen=HELD + LAST)
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
@@ -78,7 +81,9 @@ class AnswerMonitor:
             self._run.clear()
             return ""
         self._run.append(seen)
-        if self._climbed_in_vain(LEAST_CLIMB if spent else CLIMB):
+        # below the threshold nothing answers: a session set too low is searched upwards first
+        searched = spent or min(drives.values()) >= SEARCHED * self._most
+        if searched and self._climbed_in_vain(self._most * (LEAST_CLIMB if spent else CLIMB)):
             return NO_ANSWER
         return LIKE_NONE if self._suddenly_lost() else ""
 
@@ -98,7 +103,8 @@ class AnswerMonitor:
                 return False  # where one target is reached, more or less, the foot is being lifted
             if median(levels) - self._without(name) > CLEAR * self._noise(name):
                 return False  # lifted as well, and more does not lift it further
-            slopes.append(_slope(drives, levels, self._noise(name)))
+            slope, error = _slope(drives, levels, self._noise(name))
+            slopes.append((self._most * slope, self._most * error))
         if not slopes:
             return False
         slope, error = min(slopes, key=lambda each: each[1])
@@ -116,7 +122,7 @@ class AnswerMonitor:
         held = median(seen.levels[name] for seen in earlier) - bare
         left = max(seen.levels[name] for seen in last) - bare
         usual = median(seen.drives[name] for seen in earlier)
-        if sum(seen.drives[name] >= usual + CLIMB for seen in last) < MORE:
+        if sum(seen.drives[name] >= usual + CLIMB * self._most for seen in last) < MORE:
             return False
         return held > CLEAR * self._noise(name) and left < LOST * held
 

@@ -23,15 +23,15 @@ from typing import Final
 from fes.stimulation.tuning.targets import Measure, Reading
 
 REMEMBERED: Final = 12
-SLOPE: Final = 2.0  # of the level by the drive, before anything is known: the whole range moves the foot two bands
-SLOPE_SD: Final = 2.0
-SLOPE_BOUNDS: Final = (1.0, 12.0)
+SLOPE: Final = 2.7  # bands over the drive's whole range, before anything is known
+SLOPE_SD: Final = 2.7
+SLOPE_BOUNDS: Final = (1.3, 16.0)
 NOISE: Final = 0.20  # of a stride's level, before anything is known
 NOISE_AT_CONTACT: Final = 0.045  # so of the foot's pitch at contact
 BELIEVED: Final = 4  # strides' worth of trust in it
 MOST_SURPRISE: Final = 3.0  # times the usual noise: one stumble says little about the others
 NOISE_BOUNDS: Final = (0.04, 0.60)
-NEAR: Final = 0.05  # of drive: strides this near the present one need no trust in the slope
+NEAR: Final = 0.04  # of the drive's whole range: strides this near the present one need no trust in the slope
 LAST: Final = 3
 FADE: Final = 0.85  # weight of a stride against the one after it
 
@@ -39,15 +39,20 @@ SAFE_SDS: Final = 2.0  # of a stride's noise between the aim and the low end: 2.
 LEAST_AIM: Final = 0.30  # a toe's height is known to some millimetres only, …
 LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two
 GREATEST_AIM: Final = 0.55
+SUDDEN_SDS: Final = 2.5  # below what was expected and below the band: acted upon at once, it may be no chance
 DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
 DEAD_ABOVE: Final = 0.03  # above it, where more is only charge
 
 
 class Response:
-    """Recent strides' drives and levels; oldest first. ``usual_noise`` is what is believed before any are known."""
+    """Recent strides' drives and levels; oldest first.
 
-    def __init__(self, usual_noise: float = NOISE) -> None:
-        self._usual_noise = usual_noise
+    ``usual_noise`` is what is believed before any are known. ``most`` is the drive at the intensity's upper bound: what
+    the whole range does to a foot does not depend on where in it the session begins.
+    """
+
+    def __init__(self, usual_noise: float = NOISE, most: float = 1.0) -> None:
+        self._usual_noise, self._most = usual_noise, most
         self._strides: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
         self._surprises: deque[float] = deque(maxlen=REMEMBERED)
 
@@ -70,17 +75,17 @@ class Response:
 
     @property
     def slope(self) -> float:
-        """Level per drive, within ``SLOPE_BOUNDS``."""
+        """Level per drive, over the whole range within ``SLOPE_BOUNDS``."""
         weights = [FADE**age for age in range(len(self._strides) - 1, -1, -1)]
         total = sum(weights)
         if not total:
-            return SLOPE
-        strides = [(w, u, z) for w, (u, z) in zip(weights, self._strides, strict=True)]
+            return SLOPE / self._most
+        strides = [(w, u / self._most, z) for w, (u, z) in zip(weights, self._strides, strict=True)]
         mean_u, mean_z = sum(w * u for w, u, _ in strides) / total, sum(w * z for w, _, z in strides) / total
         ridge = (NOISE / SLOPE_SD) ** 2
         uz = sum(w * (u - mean_u) * (z - mean_z) for w, u, z in strides)
         uu = sum(w * (u - mean_u) ** 2 for w, u, _ in strides)
-        return min(max((SLOPE * ridge + uz) / (ridge + uu), SLOPE_BOUNDS[0]), SLOPE_BOUNDS[1])
+        return min(max((SLOPE * ridge + uz) / (ridge + uu), SLOPE_BOUNDS[0]), SLOPE_BOUNDS[1]) / self._most
 
     def level_at(self, drive: float) -> float:
         """The level to expect under this drive: median of the last strides, moved there along the slope."""
@@ -89,7 +94,9 @@ class Response:
         newest = [z for _, z in moved[-LAST:]]
         if all(z < 0.0 for z in newest) or all(z > 1.0 for z in newest):
             return median(newest)  # all agree that the band is left: older strides would only slow it down
-        return median(z for i, (far, z) in enumerate(moved[-7:]) if far < NEAR or i >= len(moved[-7:]) - LAST)
+        return median(
+            z for i, (far, z) in enumerate(moved[-7:]) if far < NEAR * self._most or i >= len(moved[-7:]) - LAST
+        )
 
     @property
     def noise(self) -> float:
@@ -150,15 +157,16 @@ class Demand:
 
 
 class Responses:
-    """Of each measure, by its name."""
+    """Of each measure, by its name; ``most`` is the drive at the intensity's upper bound."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: float) -> None:
+        self._most = most
         self._by_name: dict[str, Response] = {}
 
     def add(self, reading: Reading, drives: Mapping[str, float]) -> None:
         """A valid stride, and the drive that each measure has seen."""
         for measure in reading.measures:
-            new = Response(NOISE_AT_CONTACT if measure.at_contact else NOISE)
+            new = Response(NOISE_AT_CONTACT if measure.at_contact else NOISE, self._most)
             self._by_name.setdefault(measure.name, new).add(drives[measure.name], measure.level)
 
     def forget(self) -> None:
@@ -172,6 +180,9 @@ class Responses:
             response, drive = self._by_name[measure.name], drives[measure.name]
             least = LEAST_AIM_AT_CONTACT if measure.at_contact else LEAST_AIM
             error, usual = drive_error(response, drive, least), response.level_at(drive)
+            if measure.level < min(0.0, usual - SUDDEN_SDS * response.surprise):
+                usual = measure.level
+                error = aim_of(response, least) - usual
             demands.append(Demand(measure, usual, error, response.slope, aim_of(response, least), response.surprise))
         return tuple(sorted(demands, key=lambda demand: -demand.step))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final
 
-from fes.config import Bounds, Tuning
+from fes.config import Bounds, Channel, Tuning
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import LAST, Response
 
@@ -40,6 +40,15 @@ def at_most(wanted: BurstParameters, most: BurstParameters) -> BurstParameters:
     """``wanted``, nowhere stronger than ``most``."""
     widths = tuple(min(pair) for pair in zip(wanted.widths_us, most.widths_us, strict=True))
     return replace(wanted, current_ma=min(wanted.current_ma, most.current_ma), widths_us=widths)
+
+
+def strongest_drive(channel: Channel, tuning: Tuning) -> float:
+    """The drive at the upper bound of what the method moves; 1 without bounds."""
+    if tuning.bounds is None:
+        return 1.0
+    if tuning.method == "run_to_run":
+        return tuning.bounds.current_ma.high / channel.current_ma
+    return tuning.bounds.pulse_width_us.high / channel.pulse_width_us
 
 
 def drive_of(parameters: BurstParameters, own: BurstParameters) -> float:

@@ -131,12 +131,13 @@ class Intensity:
             late, middle = late_demand(demands) or demands[0], in_mid_swing(demands)
             errors, slopes = (middle.error, late.error), (middle.slope, late.slope)
             width_us = self._channel.pulse_width_us / intensity
-            profile = next_profile(base.widths_us, zones, errors, slopes, width_us, self._tuning.gain)
+            gain = max(self._gain(late), self._gain(middle))
+            profile = next_profile(base.widths_us, zones, errors, slopes, width_us, gain)
             return replace(base, widths_us=tuple(profile))
         # a hold that is held back is itself the answer to what contact asks for
         asks = in_mid_swing(demands) if self._holds_back(zones, base) else demands[0]
         others = tuple(demand for demand in demands if demand is not asks)
-        step = min(self._tuning.gain * asks.step, room((asks, *others)) if zones is None else room((asks,)))
+        step = min(self._gain(asks) * asks.step, room((asks, *others)) if zones is None else room((asks,)))
         current_ma = base.current_ma + step / intensity * self._own.current_ma
         after = limited(base, replace(base, current_ma=current_ma), self._tuning)
         hold = late_demand(demands)
@@ -158,6 +159,10 @@ class Intensity:
         if self._tuning.method == "run_to_run":
             return replace(base, current_ma=base.current_ma + sign * self._tuning.max_change_ma)
         return replace(base, widths_us=tuple(width + sign * self._tuning.max_change_us for width in base.widths_us))
+
+    def _gain(self, demand: Demand) -> float:
+        """Below the band all that is missing is given at once, as far as one stride may."""
+        return 1.0 if demand.usual < 0.0 else self._tuning.gain
 
     def _holds_back(self, zones: Zones | None, parameters: BurstParameters) -> bool:
         return zones is not None and zones.means(parameters.widths_us)[1] < HELD_BACK * self._channel.pulse_width_us

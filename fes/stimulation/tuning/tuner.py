@@ -11,12 +11,22 @@ from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import AnswerMonitor
 from fes.stimulation.tuning.demand import Demand, Response, Responses, at_contact, in_mid_swing, reason
-from fes.stimulation.tuning.guardrails import HarmMonitor, at_most, drive_of, limited, outside, peak_of, share_used
+from fes.stimulation.tuning.faults import FaultWatch
+from fes.stimulation.tuning.guardrails import (
+    HarmMonitor,
+    at_most,
+    drive_of,
+    limited,
+    outside,
+    peak_of,
+    share_used,
+    strongest_drive,
+)
 from fes.stimulation.tuning.intensity import Intensity, Zones
 from fes.stimulation.tuning.targets import NO_CHARGE, Reading, StrideFilter, jolted, read_stride
 from fes.stimulation.tuning.timing import SPENT, Lowering, SpeedTiming
 
-Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "frozen"]
+Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +47,7 @@ class TuningReport:
     @property
     def severity(self) -> str:
         """For the session log."""
-        return "warning" if self.kind in ("hint", "roll_back") else "info"
+        return "warning" if self.kind in ("hint", "roll_back", "fault") else "info"
 
 
 def difference(before: BurstParameters, after: BurstParameters) -> str:
@@ -59,6 +69,7 @@ def difference(before: BurstParameters, after: BurstParameters) -> str:
     return ", ".join(changes)
 
 
+SPARED: Final = 6  # strides after a fault in which nothing is lowered
 HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
 MOST_ROLL_BACKS: Final = 3
 NEAR_AIM: Final = 0.5  # of the band: nearer than this a change must show its effect before the next
@@ -90,15 +101,18 @@ class Tuner:
         self.parameters = self.start
         self.pending: BurstParameters | None = None
         self.frozen = ""
-        self.response = Response()
-        self._responses = Responses()
+        most = strongest_drive(channel, self.tuning)
+        self.response = Response(most=most)
+        self._responses = Responses(most)
         self._usual_intensity = usual_intensity
         self._intensity = Intensity(channel, self.tuning)
         self._filter = StrideFilter(self.tuning, min_stride_length_m, free_ground=free_ground)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
         self._harm = HarmMonitor()
-        self._answers = AnswerMonitor()
+        self._answers = AnswerMonitor(most)
+        self._faults = FaultWatch(most)
+        self._spared = 0  # strides in which nothing is lowered, for a fault was found
         self._returning: BurstParameters | None = None
         self._lost = False  # the foot did not answer
         self._hold = 0
@@ -179,6 +193,11 @@ class Tuner:
             return self._report(t_ns, "skip", text)
         zones = self._intensity.zones(stride, self.parameters)
         drives = self._intensity.drives(reading, zones, self.parameters, intensity)
+        fault = self._faults.stride(stride, reading, drives)
+        self._spared = SPARED if fault else max(self._spared - 1, 0)
+        if fault:
+            self._forget_responses()
+            self._harm.forget()
         self.response.add(drive, reading.level)
         self._responses.add(reading, drives)
         self._timing.add(stride)
@@ -193,7 +212,17 @@ class Tuner:
             return None
         if harmful is not None and self.tuning.mode == "act":
             return self._roll_back_to(t_ns, harmful, reading)
-        return self._tune(t_ns, reading, self._responses.demands(reading, drives), drive, zones, intensity)
+        report = self._tune(t_ns, reading, self._responses.demands(reading, drives), drive, zones, intensity)
+        return self._with_fault(t_ns, stride, fault, report) if fault else report
+
+    def _with_fault(self, t_ns: int, stride: StrideResult, fault: str, change: TuningReport | None) -> TuningReport:
+        """The fault's name, and what was done about it in the same stride."""
+        text = f"stride {stride.number}: something has changed that stimulation did not: most likely {fault}"
+        if change is None:
+            return self._report(t_ns, "fault", f"{text}; look at it")
+        if change.kind != "change":
+            return replace(change, text=f"{change.text}; {text}")
+        return replace(change, kind="fault", text=f"{text}; look at it. {change.text}")
 
     def _forget_responses(self) -> None:
         self.response.forget()
@@ -273,7 +302,7 @@ class Tuner:
                 self._harm.returned(self.response)
         inverted = self._harm.inverted
         worst = demands[0] if inverted else self._intensity.leader(demands, zones, before)
-        error = 0.0 if self._hold else worst.error
+        error = 0.0 if self._hold or (self._spared and worst.error < 0.0 and not inverted) else worst.error
         if inverted and outside(self.response.level_at(drive)) == 0.0:
             error = 0.0  # this foot answers the other way round: inside the band nothing is to be gained
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
