@@ -156,10 +156,10 @@ trials: $(VENV)/run.stamp
 
 # Needs uv on the path; writes no address of any registry.
 lock:
-	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements.lock
-	uv pip compile pyproject.toml --extra dev -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-dev.lock
-	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-peers.lock
-	uv pip compile docs/site/requirements.in -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-docs.lock
+	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements.lock
+	uv pip compile pyproject.toml --extra dev -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements-dev.lock
+	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements-peers.lock
+	uv pip compile docs/site/requirements.in -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements-docs.lock
 
 clean:
 	rm -rf $(VENV) $(VENV)-* out dist
