@@ -195,14 +195,15 @@ class StrideResult:
     """One stride of one foot, from quietest instant to quietest instant of the stances around its swing.
 
     Negård et al. (2005) call this a step; in today's terms it is a stride. Position is in a frame with z up
-    against gravity and x along the stride's own direction, origin at the start: ``trajectory_m`` (K, 3) and
-    ``pitch_rad`` (K,) (toe-up positive, 0 in the starting stance) at K equally spaced times from
-    ``t_start_ns`` to ``t_end_ns``. ``stride_length_sd_m`` is the length's uncertainty, ``free_rise_m`` the
-    height gained by the sensor alone, whatever the ground is said to be, ``clearance_m`` the sensor's greatest height
-    over the line from start to end; ``toe_clearance_m`` the least height of the toe in mid-swing and
-    ``heel_clearance_m`` the heel's greatest height, NaN unless the session says where the sensor sits. The ``t_*``
-    phase entries are None where the stride did not pass that phase. ``valid`` is False, with ``reason``, where the
-    numbers must not be used.
+    against gravity and x along the stride's own direction, origin at the start: ``trajectory_m`` (K, 3),
+    ``pitch_rad`` (K,) and ``roll_rad`` (K,) at K equally spaced times from ``t_start_ns`` to ``t_end_ns``. Pitch is the
+    angle of the foot's long axis against the horizontal, toe up positive; roll that of its mediolateral axis, inner
+    side up (inversion, the sole turning inward) positive on both feet; both are 0 in the starting stance. Roll is empty
+    of a shank, and in older logs. ``stride_length_sd_m`` is the length's uncertainty, ``free_rise_m`` the height gained
+    by the sensor alone, whatever the ground is said to be, ``clearance_m`` the sensor's greatest height over the line
+    from start to end; ``toe_clearance_m`` the least height of the toe in mid-swing and ``heel_clearance_m`` the heel's
+    greatest height, NaN unless the session says where the sensor sits. The ``t_*`` phase entries are None where the
+    stride did not pass that phase. ``valid`` is False, with ``reason``, where the numbers must not be used.
     """
 
     foot: str
@@ -224,5 +225,6 @@ class StrideResult:
     reason: str = ""
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
     pitch_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    roll_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     stride_length_sd_m: float = field(default=math.nan, compare=False)  # not in session logs
     free_rise_m: float = field(default=math.nan, compare=False)  # nor this

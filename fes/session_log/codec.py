@@ -249,7 +249,7 @@ _COMMAND = tuple(map(struct.Struct, ("<BqBHfff", "<BqBHddd", "<Bqqqddd")))
 _FRAME = struct.Struct("<qI")
 _PHASE = struct.Struct("<qBBBB")
 _STRIDE = struct.Struct("<III")
-_STRIDE_ARRAYS = ("trajectory_m", "pitch_rad")
+_STRIDE_ARRAYS = ("trajectory_m", "pitch_rad", "roll_rad")
 
 RareEvent = Tick | OperatorAct | StimStatus | StimAlive | StimOpened | FootSwitchEvent | SystemFault
 Rare = RareEvent | StimCommand | WireFrame | PhaseChange | StrideResult | Note | Received
@@ -424,12 +424,17 @@ def _encode_stride(stride: StrideResult) -> bytes:
     text = encode_json({name: getattr(stride, name) for name in names})
     trajectory = np.ascontiguousarray(stride.trajectory_m, "<f4").reshape(-1, 3)
     pitch = np.ascontiguousarray(stride.pitch_rad, "<f4").reshape(-1)
-    return _STRIDE.pack(len(text), len(trajectory), len(pitch)) + text + trajectory.tobytes() + pitch.tobytes()
+    roll = np.ascontiguousarray(stride.roll_rad, "<f4").reshape(-1)
+    arrays = trajectory.tobytes() + pitch.tobytes() + roll.tobytes()
+    return _STRIDE.pack(len(text), len(trajectory), len(pitch)) + text + arrays
 
 
 def _decode_stride(payload: memoryview) -> StrideResult:
     text_bytes, rows, angles = _STRIDE.unpack_from(payload)
     start = _STRIDE.size + text_bytes
-    numbers = np.frombuffer(payload, "<f4", 3 * rows + angles, start).astype(np.float64)
+    numbers = np.frombuffer(payload[start:], "<f4").astype(np.float64)
+    trajectory, pitch, roll = np.split(numbers, (3 * rows, 3 * rows + angles))  # older logs have no roll
+    if len(pitch) < angles or len(roll) not in (0, angles):
+        raise ValueError("a stride of another length than it says")
     fields = decode_json(payload[_STRIDE.size : start])
-    return StrideResult(**fields, trajectory_m=numbers[: 3 * rows].reshape(-1, 3), pitch_rad=numbers[3 * rows :])
+    return StrideResult(**fields, trajectory_m=trajectory.reshape(-1, 3), pitch_rad=pitch, roll_rad=roll)

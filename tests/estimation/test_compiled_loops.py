@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fes.estimation.numerics.filters import into_rows, spreads
 from fes.estimation.numerics.ranks import median
@@ -96,8 +97,8 @@ def test_a_strides_shape_is_interpolated_and_turned() -> None:
     quaternion = np.column_stack((np.cos(pitch / 2), np.zeros(n), np.sin(pitch / 2), np.zeros(n)))
     position = np.cumsum(RNG.normal(0.02, 0.01, (n, 3)), axis=0)
     position -= position[0]
-    out = np.empty((101, 4))
-    stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, out)
+    out = np.empty((101, 5))
+    stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, out)
     highest, turn = height_and_turn(quaternion, position, 1.0, 0.0, 0.0)
     assert highest == position[:, 2].max()
     assert turn == pytest.approx(0.0, abs=1e-12)
@@ -107,6 +108,21 @@ def test_a_strides_shape_is_interpolated_and_turned() -> None:
     for k in range(3):
         assert out[:, k] == pytest.approx(np.interp(at, since, walking[:, k]), abs=1e-12)
     assert out[:, 3] == pytest.approx(np.interp(at, since, -(pitch - pitch[0])), abs=1e-12)
+    assert out[:, 4] == pytest.approx(np.zeros(101), abs=1e-12)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 130.0])
+def test_a_strides_tilt_is_of_the_mediolateral_axis_however_steep_the_foot_stands(heading_deg: float) -> None:
+    tilt, pitch = np.radians(np.linspace(0.0, 12.0, 80)), np.radians(np.linspace(0.0, -60.0, 80))
+    heading = np.full(80, math.radians(heading_deg))
+    turned = Rotation.from_euler("ZXY", np.column_stack((heading, tilt, -pitch)))  # about the foot's own axes
+    mounted = Rotation.from_euler("ZXY", (0.4, -0.3, 0.7))  # how the sensor sits on the foot
+    forward, up = mounted.inv().apply((1.0, 0.0, 0.0)), mounted.inv().apply((0.0, 0.0, 1.0))
+    quaternion = np.ascontiguousarray(np.roll((turned * mounted).as_quat(), 1, axis=1))
+    t_ns, position, out = 10_000_000 * np.arange(80), np.zeros((80, 3)), np.empty((80, 5))
+    stride_shape(t_ns, quaternion, position, *forward, *up, out)
+    assert out[:, 4] == pytest.approx(tilt, abs=1e-9)
+    assert math.sin(out[-1, 3]) == pytest.approx(math.sin(pitch[-1]) * math.cos(tilt[-1]), abs=1e-9)
 
 
 @pytest.mark.parametrize("stances", [1, 2, 7])

@@ -86,7 +86,7 @@ def facts(outcomes: list[Outcome]) -> list[object]:
     for outcome in outcomes:
         if isinstance(outcome, StrideResult):
             plain = {name: getattr(outcome, name) for name in outcome.__slots__}
-            arrays = [plain.pop(name).tobytes() for name in ("trajectory_m", "pitch_rad")]
+            arrays = [plain.pop(name).tobytes() for name in ("trajectory_m", "pitch_rad", "roll_rad")]
             found += [repr(plain), *arrays]
         else:
             found.append(outcome)

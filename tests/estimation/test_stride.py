@@ -57,12 +57,14 @@ def motion(
     pitch_rad: float = 0.6,
     turn_rad: float = 0.0,
     roll_rps: float = 0.0,
+    tilt_rad: float = 0.0,
     height_m: float = 0.065,
     duration_s: float = 1.0,
     stance_s: float = 0.15,
     drift_speed_mps: float = CREEP_M,
 ) -> Motion:
-    """Stance, swing, stance; ``roll_rps`` turns the foot forward all the time about a ground contact below the sensor.
+    """Stance, swing, stance; ``roll_rps`` turns the foot forward all the time about a ground contact below the sensor;
+    ``tilt_rad`` is how far its left side is up in mid-swing.
 
     Derivatives come from differences on a grid a hundred times finer, the sensor's numbers from picking its instants.
     """
@@ -77,7 +79,7 @@ def motion(
     toe_down = pitch_rad * bump**2 * np.sin(2.0 * math.pi * u) + roll_rps * t
     position = np.column_stack((x, 0.03 * bump**2, z))
     heading = turn_rad * smooth(u)
-    turned = Rotation.from_euler("ZY", np.column_stack((heading, toe_down)))
+    turned = Rotation.from_euler("ZXY", np.column_stack((heading, tilt_rad * bump, toe_down)))
     acceleration = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / dt**2
     rates = (turned[:-2].inv() * turned[2:]).as_rotvec() / (2.0 * dt)
     force = turned[1:-1].inv().apply(acceleration + GRAVITY)
@@ -247,6 +249,18 @@ def test_a_known_stride(rate_hz: float, method: StrideSettings) -> None:
     assert result.pitch_rad[0] == 0.0
     assert -result.pitch_rad.min() == pytest.approx(0.6 * 0.52, abs=0.1)  # push-off: toe down is negative
     assert np.argmin(result.pitch_rad) < 50 < np.argmax(result.pitch_rad)
+
+
+@both_methods
+@pytest.mark.parametrize(("foot", "inward"), [("left_foot", -1.0), ("right_foot", 1.0)])
+def test_the_roll_is_inversion_on_both_feet(foot: str, inward: float, method: StrideSettings) -> None:
+    m = motion(tilt_rad=0.2, turn_rad=0.2)
+    result = solve_stride(foot, 1, PHASES, 0, len(m.t_ns) - 1, m.t_ns, m.acc, m.gyr, m.quaternion[0], method)
+    assert result.roll_rad.shape == result.pitch_rad.shape
+    assert result.roll_rad[0] == 0.0
+    assert result.roll_rad[-1] == pytest.approx(0.0, abs=0.005)
+    assert result.roll_rad[50] == pytest.approx(0.2 * inward, abs=0.005)  # the left side is a left foot's outer one
+    assert result.pitch_rad[50] == pytest.approx(solve(motion(turn_rad=0.2), method).pitch_rad[50], abs=0.005)
 
 
 @both_methods

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from fes.estimation.strides.schema import COLUMNS, STRIDE, TABLE, markdown, table_row
 from fes.session_log.codec import decode, encode
@@ -21,7 +22,7 @@ RESULT = StrideResult(
 
 
 def test_a_stride_has_the_columns_that_the_schema_states() -> None:
-    carried = {field.name for field in fields(StrideResult)} - {"trajectory_m", "pitch_rad"}
+    carried = {field.name for field in fields(StrideResult)} - {"trajectory_m", "pitch_rad", "roll_rad"}
     assert carried == {column.name for column in COLUMNS if column.shown} - PATH
     assert len({column.name for column in COLUMNS}) == len(COLUMNS)
     assert set(STRIDE.names or ()) >= carried - {"foot", "valid", "reason"}
@@ -39,6 +40,21 @@ def test_a_row_of_the_table_is_in_seconds() -> None:
 def test_a_log_carries_the_same_columns() -> None:
     kind, payload = encode(RESULT)
     assert decode(kind, memoryview(payload)) == RESULT
+
+
+def test_a_log_from_before_the_roll_is_read() -> None:
+    angles = np.linspace(0.0, 0.5, 101)
+    stride = replace(RESULT, pitch_rad=angles, roll_rad=-angles)
+    kind, payload = encode(stride)
+    now, before = decode(kind, memoryview(payload)), decode(kind, memoryview(payload)[: -4 * 101])
+    assert isinstance(now, StrideResult)
+    assert isinstance(before, StrideResult)
+    assert now.roll_rad == pytest.approx(-angles, abs=1e-7)
+    assert before == RESULT
+    assert (len(before.roll_rad), len(before.trajectory_m)) == (0, 101)
+    assert np.array_equal(before.pitch_rad, now.pitch_rad)
+    with pytest.raises(ValueError, match="length"):
+        decode(kind, memoryview(payload)[:-4])
 
 
 def test_the_page_shows_the_columns() -> None:

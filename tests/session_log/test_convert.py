@@ -63,10 +63,10 @@ def everything(path: Path, seconds: float = 2.0, created: str = CREATED) -> Path
     writer.event(SystemFault(2 * 10**9, "left_foot lost"))
     writer.note(Note(2 * 10**9, "warning", "gate", "two\nlines, and a comma"))
     writer.phase(PhaseChange(15 * 10**8, "left_foot", Transition.T1, Phase.STANCE, Phase.PRE_SWING))
-    path_m, pitch = np.arange(9.0).reshape(3, 3), np.array([0.0, 0.5, 0.25])
+    path_m, pitch, roll = np.arange(9.0).reshape(3, 3), np.array([0.0, 0.5, 0.25]), np.array([0.0, 0.1, 0.0])
     ends = (10**9, 2 * 10**9)
     stride = StrideResult("left_foot", 1, *ends, 1.0, 0.1, 0.0, 0.0, 1.0, 1, None, 3, 4)
-    writer.stride(dataclasses.replace(stride, trajectory_m=path_m, pitch_rad=pitch))
+    writer.stride(dataclasses.replace(stride, trajectory_m=path_m, pitch_rad=pitch, roll_rad=roll))
     writer.close({"done": True})
     return path
 
@@ -137,6 +137,7 @@ def test_csv_holds_everything(log: Path, tmp_path: Path) -> None:
     (stride,) = csv_rows(folder, "strides")
     assert (stride["t_swing_ns"], stride["stride_length_m"], stride["valid"]) == ("", "1.0", "true")
     assert [row["t_ns"] for row in csv_rows(folder, "stride_paths")] == ["1000000000", "1500000000", "2000000000"]
+    assert [row["roll_rad"] for row in csv_rows(folder, "stride_paths")] == ["0.0", "0.10000000149011612", "0.0"]
     about = json.loads((folder / "session.json").read_text(), parse_constant=pytest.fail)
     assert about["summary"] == {"done": True}
     assert about["header"]["unknown"] is None
@@ -212,7 +213,7 @@ def test_a_live_header_says_when_it_was_made() -> None:
 
 
 def test_every_field_of_every_record_has_a_column() -> None:
-    left_out = {"trajectory_m", "pitch_rad"}
+    left_out = {"trajectory_m", "pitch_rad", "roll_rad"}
     for kind, table in SINGLES.items():
         assert {item.name for item in dataclasses.fields(kind)} - left_out <= {c.name for c in table.columns}
         assert table.time in {column.name for column in table.columns}

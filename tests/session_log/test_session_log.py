@@ -71,8 +71,8 @@ single = st.floats(width=32, allow_nan=False)
 
 @st.composite
 def strides(draw: st.DrawFn) -> StrideResult:
-    rows = draw(st.lists(st.tuples(single, single, single, single), max_size=5))
-    array = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    rows = draw(st.lists(st.tuples(single, single, single, single, single), max_size=5))
+    array = np.array(rows, dtype=np.float64).reshape(-1, 5)
     return StrideResult(
         draw(st.sampled_from(SENSORS)),
         draw(st.integers(0, 10**6)),
@@ -81,6 +81,7 @@ def strides(draw: st.DrawFn) -> StrideResult:
         reason=draw(text),
         trajectory_m=array[:, :3],
         pitch_rad=array[:, 3],
+        roll_rad=array[: draw(st.sampled_from((0, len(array)))), 4],
     )
 
 
@@ -148,6 +149,7 @@ def test_everything_comes_back(
     for read, stride in zip(log.strides, written, strict=True):
         np.testing.assert_array_equal(read.trajectory_m, stride.trajectory_m)
         np.testing.assert_array_equal(read.pitch_rad, stride.pitch_rad)
+        np.testing.assert_array_equal(read.roll_rad, stride.roll_rad)
         assert read.trajectory_m.shape == stride.trajectory_m.shape
     for sensor in SENSORS:
         mine = [sample for sample in happened if isinstance(sample, ImuSample) and sample.sensor == sensor]

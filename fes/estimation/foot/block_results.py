@@ -70,12 +70,12 @@ class TrackedBlock:
 
     @property
     def shapes(self) -> FloatArray:
-        """Their shapes (K, ``TRAJECTORY_POINTS``, 4), made anew at every call; of those not solved nothing to go by."""
+        """Their shapes (K, ``TRAJECTORY_POINTS``, 5), made anew at every call; of those not solved nothing to go by."""
         rows, out = self.rows, self.out
-        shapes = np.zeros((len(rows), TRAJECTORY_POINTS, 4))
+        shapes = np.zeros((len(rows), TRAJECTORY_POINTS, 5))
         firsts, counts = rows["first"].copy(), rows["rows"].copy()
-        fx, fy, fz = self._settings.forward.tolist()
-        stride_shapes(firsts, counts, out.t_ns, out.quaternion, out.position, fx, fy, fz, shapes)
+        (fx, fy, fz), (ux, uy, uz) = self._settings.forward.tolist(), self._settings.up.tolist()
+        stride_shapes(firsts, counts, out.t_ns, out.quaternion, out.position, fx, fy, fz, ux, uy, uz, shapes)
         if self.longer is not None:
             shapes[:, :, 0] *= self.longer[:, None]
         return shapes

@@ -262,17 +262,26 @@ def goes_backward(quaternion: Mat, position: Mat, turn: float, fx: float, fy: fl
 
 
 @jit_fused
-def stride_shape(t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, out: Mat) -> None:
-    """Fill ``out`` (K, 4): ahead, left and up (m) in the direction of the stride, and pitch (rad) since its start.
+def stride_shape(
+    t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
+    out: Mat,
+) -> None:  # fmt: skip
+    """Fill ``out`` (K, 5): ahead, left and up (m) in the direction of the stride, pitch and tilt (rad) since its start.
 
-    ``t_ns`` (N,) are the time stamps; the K rows of ``out`` are evenly spaced from the first to the last, linear in
-    between. The others are as for :func:`height_and_turn`.
+    Pitch is the angle of the foot's long axis against the horizontal, toe up, tilt that of its mediolateral axis, left
+    side up: asin of the axis's vertical component. Neither feels the heading, and a foot that turns about its
+    mediolateral axis alone keeps its tilt, however steep it stands. ``t_ns`` (N,) are the time stamps; the K rows of
+    ``out`` are evenly spaced from the first to the last, linear in between. ``u`` is the unit vector up, foot flat, in
+    the sensor frame, at right angles to ``f``. The others are as for :func:`height_and_turn`.
     """
     n, count = t_ns.shape[0], out.shape[0]
-    pitch = np.empty(n)
+    lx, ly, lz = uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx
+    pitch, tilt = np.empty(n), np.empty(n)
     for i in range(n):
         _, _, up = _pointing(quaternion, i, fx, fy, fz)
         pitch[i] = math.asin(min(max(up, -1.0), 1.0))
+        _, _, up = _pointing(quaternion, i, lx, ly, lz)
+        tilt[i] = math.asin(min(max(up, -1.0), 1.0))
     dx, dy = position[n - 1, 0], position[n - 1, 1]
     length = math.sqrt(dx * dx + dy * dy)
     if length <= SHORTEST_M:
@@ -291,17 +300,19 @@ def stride_shape(t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float
         out[k, 1] = y * dx - x * dy
         out[k, 2] = position[i, 2] + share * (position[i + 1, 2] - position[i, 2])
         out[k, 3] = pitch[i] + share * (pitch[i + 1] - pitch[i]) - pitch[0]
+        out[k, 4] = tilt[i] + share * (tilt[i + 1] - tilt[i]) - tilt[0]
 
 
 @jit_fused
 def stride_shapes(
-    firsts: Vec, counts: Vec, t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, out: Mat
-) -> None:
-    """As :func:`stride_shape` of S strides, of each ``counts`` rows from ``firsts`` on, (S,); ``out`` (S, K, 4)."""
+    firsts: Vec, counts: Vec, t_ns: Vec, quaternion: Mat, position: Mat,
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, out: Mat,
+) -> None:  # fmt: skip
+    """As :func:`stride_shape` of S strides, of each ``counts`` rows from ``firsts`` on, (S,); ``out`` (S, K, 5)."""
     for k in range(firsts.shape[0]):
         a, b = firsts[k], firsts[k] + counts[k]
         if b > a:
-            stride_shape(t_ns[a:b], quaternion[a:b], position[a:b], fx, fy, fz, out[k])
+            stride_shape(t_ns[a:b], quaternion[a:b], position[a:b], fx, fy, fz, ux, uy, uz, out[k])
 
 
 @inlined

@@ -91,7 +91,7 @@ class StrideMaker:
     def stride_in(self, out: Out) -> StrideResult:
         """The only stride in ``out``; its path is shown to who watches."""
         shape = out.shapes[0].copy()
-        result = _result(self.foot, out.strides[:1].tolist()[0], shape[:, :3], shape[:, 3])
+        result = _result(self.foot, out.strides[:1].tolist()[0], shape)
         if self.settings.watch is not None and result.valid:
             self.settings.watch(copy.deepcopy(stride_paths(out.strides, out, self.settings).each()[0]))
         return result
@@ -115,13 +115,12 @@ def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
 
 
 def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
-    """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 4)."""
-    trajectories, pitches = shapes[:, :, :3].copy(), shapes[:, :, 3].copy()
-    return [_result(foot, row, trajectories[k], pitches[k]) for k, row in enumerate(rows.tolist())]
+    """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 5)."""
+    return [_result(foot, row, shapes[k]) for k, row in enumerate(rows.tolist())]
 
 
-def _result(foot: str, row: tuple[Any, ...], trajectory: FloatArray, pitch: FloatArray) -> StrideResult:
-    """Result of one stride from its row and shape."""
+def _result(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
+    """Result of one stride from its row and shape (``TRAJECTORY_POINTS``, 5), whose tilt is of the left side up."""
     columns: dict[str, Any] = dict(zip(_NAMES, row, strict=True))
     valid, reason = columns["outcome"] == integration.SOLVED, ""
     if not valid or columns["residual_rate_radps"] > REST_RADPS:
@@ -130,11 +129,15 @@ def _result(foot: str, row: tuple[Any, ...], trajectory: FloatArray, pitch: Floa
         del columns[name]
     if not valid:
         columns |= _UNKNOWN
-        trajectory, pitch = np.zeros((0, 3)), np.zeros(0)
+        shape = shape[:0]
     for name in _ENTRIES:
         if columns[name] == UNSEEN_NS:
             columns[name] = None
-    return StrideResult(foot, valid=valid, reason=reason, trajectory_m=trajectory, pitch_rad=pitch, **columns)
+    trajectory, pitch = shape[:, :3].copy(), shape[:, 3].copy()
+    roll = -shape[:, 4] if foot.startswith("left") else shape[:, 4].copy()  # inversion lifts the inner side
+    return StrideResult(
+        foot, valid=valid, reason=reason, trajectory_m=trajectory, pitch_rad=pitch, roll_rad=roll, **columns
+    )
 
 
 def _reason(row: Mapping[str, Any]) -> str:

@@ -102,7 +102,7 @@ class Out(NamedTuple):
 
     strides: Any  # (S,) of ``STRIDE``
     shapes: (
-        Any  # (S, K, 4) as :func:`fes.estimation.strides.integration.stride_shape` fills them; (0, K, 4): not wanted
+        Any  # (S, K, 5) as :func:`fes.estimation.strides.integration.stride_shape` fills them; (0, K, 5): not wanted
     )
     t_ns: Any  # (R,) the strides' own samples, one stride after the other
     position: Any  # (R, 3) m from each stride's start
@@ -114,7 +114,7 @@ def new_out(strides: int, rows: int, points: int, *, shaped: bool = True) -> Out
     """Room for so many strides of so many rows in all; to be emptied by setting ``filled`` to 0."""
     return Out(
         np.zeros(strides, np.dtype((np.record, STRIDE))),  # its fields as attributes without the compiler too
-        np.empty((strides if shaped else 0, points, 4)),
+        np.empty((strides if shaped else 0, points, 5)),
         np.empty(rows, np.int64),
         np.empty((rows, 3)),
         np.empty((rows, 4)),
@@ -275,7 +275,8 @@ def solve_rows(
     if row.outcome != SOLVED:
         return
     if k < out.shapes.shape[0]:
-        stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, out.shapes[k])
+        ux, uy, uz = settings.up_x, settings.up_y, settings.up_z
+        stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, ux, uy, uz, out.shapes[k])
     row.stride_length_sd_m, row.free_rise_m = numbers[LENGTH_SD], numbers[FREE_RISE]
     row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan

@@ -5,6 +5,7 @@ Tables → a folder of CSV or Parquet files, one a table, and what the log's hea
 
 import csv
 import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -25,7 +26,7 @@ BATCH_ROWS: Final = 20_000
 ANOTHER: Final = "choose another with --out"
 UNITS: Final = {name: name for name in ("ns", "ms", "rad", "m")} | {"ma": "mA", "us": "µs", "uc": "µC", "hz": "Hz"}
 UNITS.update({"mps2": "m/s²", "radps": "rad/s", "mps": "m/s"})
-_ARRAYS = ("trajectory_m", "pitch_rad")
+_ARRAYS = ("trajectory_m", "pitch_rad", "roll_rad")
 _KINDS: Final[dict[Any, str]] = {int: "int", int | None: "int", float: "float", bool: "bool", bool | None: "bool"}
 
 
@@ -98,7 +99,8 @@ SAMPLES: Final = {sensor: Table(f"imu_{sensor}", _IMU) for sensor in signals.SEN
 LATENCY: Final = Table("latency", (Column("t_ns", "int"), Column("latency_ns", "int")))
 PHASES: Final = Table("phases", (*_table_of(PhaseChange, "phases").columns, Column("phase", "int")))
 _PATH: Final = (Column("t_ns", "int"), Column("foot", "text"), Column("number", "int"))
-PATHS: Final = Table("stride_paths", _PATH + tuple(Column(n, "float") for n in ("x_m", "y_m", "z_m", "pitch_rad")))
+_PLACE: Final = ("x_m", "y_m", "z_m", "pitch_rad", "roll_rad")
+PATHS: Final = Table("stride_paths", _PATH + tuple(Column(name, "float") for name in _PLACE))
 SINGLES: Final[dict[type, Table]] = {
     signals.StrideResult: _table_of(signals.StrideResult, "strides", "t_end_ns"),
     signals.StimCommand: _table_of(signals.StimCommand, "commands"),
@@ -179,7 +181,8 @@ def _single(filling: dict[str, Batch], value: Rare) -> None:
     if isinstance(value, signals.StrideResult) and len(value.trajectory_m) == len(value.pitch_rad) > 0:
         n = len(value.pitch_rad)
         t_ns = [value.t_start_ns + (value.t_end_ns - value.t_start_ns) * k // max(n - 1, 1) for k in range(n)]
-        path = [*value.trajectory_m.T.tolist(), value.pitch_rad.tolist()]
+        roll = value.roll_rad.tolist() or [math.nan] * n  # a shank's, or an old log's
+        path = [*value.trajectory_m.T.tolist(), value.pitch_rad.tolist(), roll]
         _extend(filling, PATHS, [t_ns, [value.foot] * n, [value.number] * n, *path])
 
 

@@ -14,7 +14,7 @@ from statistics import median
 from typing import Final
 
 from fes.config import Band, Tuning
-from fes.signals import NS_PER_S, StrideResult
+from fes.signals import NS_PER_S, FloatArray, StrideResult
 
 STOP_S: Final = 0.8  # between the end of a stride and the beginning of the next: a stop
 SPEED_CHANGE: Final = 0.25
@@ -202,10 +202,19 @@ def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
 
 def pitch_at_contact_rad(stride: StrideResult) -> float:
     """Foot pitch at initial contact, toe-up positive; NaN where no loading response was seen."""
+    return _at_contact(stride, stride.pitch_rad)
+
+
+def roll_at_contact_rad(stride: StrideResult) -> float:
+    """Foot roll at initial contact, inversion positive; NaN where no loading response or no roll is known."""
+    return _at_contact(stride, stride.roll_rad)
+
+
+def _at_contact(stride: StrideResult, angle_rad: FloatArray) -> float:
     contact_ns = stride.t_loading_response_ns
-    if contact_ns is None or len(stride.pitch_rad) < 2 or not stride.t_start_ns <= contact_ns <= stride.t_end_ns:
+    if contact_ns is None or len(angle_rad) < 2 or not stride.t_start_ns <= contact_ns <= stride.t_end_ns:
         return math.nan
-    return interpolate(contact_ns, times_ns(stride), [float(pitch) for pitch in stride.pitch_rad])
+    return interpolate(contact_ns, times_ns(stride), angle_rad.tolist())
 
 
 def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
