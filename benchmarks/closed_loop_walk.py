@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -34,7 +35,7 @@ CALIBRATION_S = 30.0
 
 @dataclass
 class Output:
-    """The stimulator of one channel: pulses at the commanded rate while a command is valid."""
+    """The stimulator's output of one channel: pulses at the commanded rate while a command is valid."""
 
     command: StimCommand | None = None
     next_ns: int = 0
@@ -104,6 +105,7 @@ def walk(
     during: Callable[[VirtualPatient, int], None] | None = None,
     lost: Callable[[int], bool] | None = None,
     seen: Callable[[ImuSample], ImuSample] | None = None,
+    prepare: Callable[[Controller], None] | None = None,
 ) -> Walk:
     """Walk until ``strides`` of the affected foot or ``seconds`` are over.
 
@@ -116,12 +118,15 @@ def walk(
         during: called every step with the patient and the time in ns, to do something to it.
         lost: whether what the sensor says at a time in ns is lost.
         seen: what becomes of a sample that is not.
+        prepare: called with the controller before the first event, as to take a part of the tuning away.
     """
     patient, foot = VirtualPatient(settings), settings.affected_foot
     calibrations: dict[str, Calibration] = {foot: calibration}
     controller = Controller(session, calibrations)
     gate = gate_of(session, {foot: calibration.up}, {})
-    output = Output()
+    outputs = {channel.number: Output() for channel in session.channels}
+    if prepare:
+        prepare(controller)
     done = Walk([], [], [], set(), "", 0.0, controller)
 
     def handle(event: Event) -> None:
@@ -129,7 +134,7 @@ def walk(
         decision = controller.step(event)
         for request in decision.requests:
             command = gate.judge(event.t_ns, request)
-            output.send(command)
+            outputs[command.channel].send(command)
             if command.refused and "not armed" not in command.refused:
                 done.refused.add(command.refused)
         done.reports.extend(decision.reports)
@@ -139,10 +144,12 @@ def walk(
             elif outcome.transition == "T5":
                 done.put_back += 1
 
-    armed, t_ns = False, 0
+    armed, t_ns, seen_strides = False, 0, 0
     while t_ns < seconds * NS_PER_S and len(done.strides) < strides:
         t_ns += STEP_NS
-        pulses, output.pulses = output.pulses, []
+        pulses = sorted((p for output in outputs.values() for p in output.pulses), key=attrgetter("t_ns"))
+        for output in outputs.values():
+            output.pulses = []
         done.charge_uc += sum(pulse.charge_uc for pulse in pulses)
         done.pulses += pulses
         for sample in patient.advance(t_ns, pulses):
@@ -155,8 +162,10 @@ def walk(
             armed = True
             handle(OperatorAct(t_ns, OperatorAction.ARM))
             handle(OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 1.0))
-        if (status := output.until(t_ns + STEP_NS)) is not None:
-            handle(replace(status, t_ns=t_ns))
-        done.strides = [one for one in patient.strides if one.foot == foot and one.walking]
+        for output in outputs.values():
+            if (status := output.until(t_ns + STEP_NS)) is not None:
+                handle(replace(status, t_ns=t_ns))
+        new, seen_strides = patient.strides[seen_strides:], len(patient.strides)
+        done.strides += [one for one in new if one.foot == foot and one.walking]
     done.latched = gate.latched
     return done

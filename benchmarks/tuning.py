@@ -30,15 +30,21 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import fisher_exact
 from tuning_cohort import BAND_MM, MOST_MA, PITCH_DEG, WIDTH_US, channel_of, clinic_ma, patient, session_with
 
-from fes.config import FootGeometry, Session
+from fes.config import Channel, FootGeometry, Session
 from fes.signals import NS_PER_S, ImuSample
-from fes.simulation.forward import PatientSettings, VirtualPatient
+from fes.simulation.forward import PatientSettings, VirtualPatient, harm_of
 from fes.simulation.forward.gait_patterns import PATTERNS
 
 STRIDES, SECONDS, LAST = 45, 300.0, 20
 EVERYBODY_MA, LOW_START_MA = 30.0, 10.0
-METHODS = {"none": "none", "fixed": "fixed timing", "run-to-run": "run-to-run", "learning": "learning"}
-TUNED = ("run-to-run", "learning")
+METHODS = {
+    "none": "none", "fixed": "fixed timing", "run-to-run": "run-to-run", "learning": "learning",
+    "two": "learning, two channels",
+}  # fmt: skip
+TUNED = ("run-to-run", "learning", "two")
+EVERTORS = 1  # the second channel's number
+ROLL_DEG = 5.0  # at contact, either way
+SETTLED = 3  # strides: from the fourth stimulated one on the roll counts
 MEASURED_HIGHER_MM = 6.0  # for three of four patients at most (--measured): the target allows for it
 REACHED = 4  # of 5 strides in a row in the band
 SOON = 5  # strides after a fault
@@ -139,7 +145,7 @@ SCENARIOS = {
 
 
 def tuning_of(method: str, rate_ma: float = 2.0) -> dict[str, Any]:
-    """The tuned channel's settings: charges of 3–12 µC a pulse, and ``rate_ma`` a stride, as current or as width."""
+    """The tuned channel's settings: charges of 3–15 µC a pulse, and ``rate_ma`` a stride, as current or as width."""
     low, high = (1e-3 * (edge + MEASURED_HIGHER_MM) for edge in BAND_MM)
     return {
         "mode": "act", "method": method.replace("-", "_"), "timing": True,
@@ -148,7 +154,7 @@ def tuning_of(method: str, rate_ma: float = 2.0) -> dict[str, Any]:
         "max_change_ma": rate_ma, "max_change_us": max(round(rate_ma * WIDTH_US / MOST_MA), 20),
         "bounds": {
             "current_ma": {"low": 10.0, "high": MOST_MA},
-            "pulse_width_us": {"low": 3000.0 / MOST_MA, "high": 12000.0 / MOST_MA},
+            "pulse_width_us": {"low": 0.2 * WIDTH_US, "high": WIDTH_US},
             "start_delay_s": {"low": 0.0, "high": 0.4}, "extension_s": {"low": -0.1, "high": 0.1},
         },
     }  # fmt: skip
@@ -160,10 +166,21 @@ def session_of(geometry: FootGeometry, method: str, current_ma: float = EVERYBOD
         return session_with(geometry)
     if method == "fixed":
         return session_with(geometry, channel_of(current_ma, extension_s=0.0))
-    if method == "learning":  # the same charge at the greatest current, so that widths have the same range
+    if method in ("learning", "two"):  # the same charge at the greatest current, so that widths have the same range
         width_us = round(WIDTH_US * current_ma / MOST_MA)
-        return session_with(geometry, channel_of(MOST_MA, width_us, tuning=tuning_of(method, rate_ma)))
+        lifts = channel_of(MOST_MA, width_us, tuning=tuning_of("learning", rate_ma))
+        return session_with(geometry, lifts, *([evertors_of(rate_ma)] if method == "two" else []))
     return session_with(geometry, channel_of(current_ma, tuning=tuning_of(method, rate_ma)))
+
+
+def evertors_of(rate_ma: float) -> Channel:
+    """The second channel, begun at a current that hardly anybody feels a foot turn by."""
+    tuning = tuning_of("learning", rate_ma)
+    del tuning["toe_clearance_m"], tuning["pitch_at_contact_deg"]
+    tuning["eversion_at_contact_deg"] = {"low": -ROLL_DEG, "high": ROLL_DEG}
+    tuning["bounds"]["extension_s"]["low"] = 0.0
+    channel = channel_of(MOST_MA, round(WIDTH_US * LOW_START_MA / MOST_MA), tuning=tuning)
+    return channel.model_copy(update={"name": "Peronei, right", "muscle": "peronei", "number": EVERTORS})
 
 
 # --- what came of it ------------------------------------------------------------------------------------------
@@ -188,16 +205,22 @@ class Result:
     named_after: int | None  # strides from the fault until it was named
     named_falsely: Counter[str]
     end_ma: float
+    rolled: list[bool]  # strides from the fourth stimulated one on that landed within ROLL_DEG of level
+    push_off_lost: float
 
 
 def over(done: Walk, session: Session) -> str:
     """What went over a bound or limit, in words; "" when nothing did."""
     if not session.channels:
         return ""
-    channel = session.channels[0]
+    return "; ".join(filter(None, (_over_of(channel, done) for channel in session.channels)))
+
+
+def _over_of(channel: Channel, done: Walk) -> str:
     bounds, limits, said = channel.tuning.bounds if channel.tuning else None, channel.limits, []
+    pulses = [pulse for pulse in done.pulses if pulse.channel == channel.number]
     if bounds is not None:
-        for report in done.reports:
+        for report in (one for one in done.reports if one.channel == channel.number):
             settings = report.after
             values = [(settings.current_ma, bounds.current_ma), (settings.start_delay_s, bounds.start_delay_s)]
             values += [(settings.extension_s, bounds.extension_s)]
@@ -205,13 +228,13 @@ def over(done: Walk, session: Session) -> str:
             if any(not edge.low - 1e-9 <= value <= edge.high + 1e-9 for value, edge in values):
                 said.append("a setting beyond the bounds")
                 break
-    if any(pulse.charge_uc > limits.max_charge_per_phase_uc + 1e-9 for pulse in done.pulses):
+    if any(pulse.charge_uc > limits.max_charge_per_phase_uc + 1e-9 for pulse in pulses):
         said.append("a pulse over the charge limit")
     first, total = 0, 0.0
-    for pulse in done.pulses:
+    for pulse in pulses:
         total += pulse.charge_uc
-        while done.pulses[first].t_ns < pulse.t_ns - 60 * NS_PER_S:
-            total -= done.pulses[first].charge_uc
+        while pulses[first].t_ns < pulse.t_ns - 60 * NS_PER_S:
+            total -= pulses[first].charge_uc
             first += 1
         if total > 1e3 * limits.max_charge_per_minute_mc + 1e-6:
             said.append("a minute over the charge limit")
@@ -257,6 +280,8 @@ def judge(done: Walk, session: Session, faults_ns: Sequence[int] = ()) -> Result
         after,
         Counter(report.text.split(":")[0] for report in false),
         done.reports[-1].after.current_ma if done.reports else 0.0,
+        [abs(57.2958 * one.inversion_at_contact_rad) <= ROLL_DEG for one in strides[SETTLED:]],
+        harm_of(strides).push_off_lost,
     )
 
 
@@ -267,6 +292,8 @@ def one_walk(
     geometry = VirtualPatient(settings).geometry["right_foot"]
     told = geometry.model_copy(update={"toe_forward_m": geometry.toe_forward_m + scenario.geometry_m})
     session = session_of(told, method, LOW_START_MA if scenario.from_low and method in TUNED else clinic, rate_ma)
+    if method == "two":
+        settings = replace(settings, evertor_channel=EVERTORS)
     event, chance = Event(scenario.acts), Random(settings.seed)
     seconds = max(SECONDS, 2.5 * scenario.strides)
     turn = Rotation.from_euler("y", scenario.turned_deg, degrees=True)
@@ -317,8 +344,9 @@ def worse(tuned: Result, fixed: Result) -> bool:
 
 HEAD = (
     "| scenario | method | µC a step | in the band | after stride 10 | stumbles | drags | T5 | in the band within 6 "
-    "strides | self-stops | over a bound | latched | worse than fixed | named falsely per 1,000 |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+    "strides | self-stops | over a bound | latched | worse than fixed | named falsely per 1,000 | landed within 5° of "
+    "level | push-off lost |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -344,6 +372,8 @@ def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
             str(sum(bool(one.latched) for one in mine)),
             str(sum(worse(one[method], one["fixed"]) for one in every)) if tuned and "fixed" in every[0] else "",
             f"{1e3 * sum(sum(one.named_falsely.values()) for one in mine) / max(strides, 1):.2f}" if tuned else "",
+            f"{sum(sum(one.rolled) for one in mine) / max(sum(len(one.rolled) for one in mine), 1):.1%}",
+            f"{fmean(one.push_off_lost for one in mine):.1%}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
@@ -431,10 +461,11 @@ def all_scenarios(seed: int, names: Sequence[str], methods: Sequence[str], rate_
 
 def said(one: Result) -> str:
     """One walk in a few numbers."""
-    flags = f"{' STOPPED' if one.self_stopped else ''}{' LATCHED' if one.latched else ''}"
+    flags = f"{' STOPPED' if one.self_stopped else ''}{f' LATCHED {one.latched}' if one.latched else ''}"
     return (
         f"{fmean(one.inside):.2f} c{one.converged} s{one.stumbles} d{one.drags} t{one.put_back} {one.charge_uc:.0f} µC "
-        f"low {one.low_after} named {one.named_after} false {dict(one.named_falsely) or 0} {one.end_ma:g} mA{flags}"
+        f"low {one.low_after} named {one.named_after} false {dict(one.named_falsely) or 0} {one.end_ma:g} mA "
+        f"roll {fmean(one.rolled or [0]):.2f} push {one.push_off_lost:.2f}{flags}"
     )
 
 

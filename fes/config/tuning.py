@@ -58,7 +58,8 @@ class Tuning(Settings):
     the bounds let it fall the pulse width from mid-swing to contact, "learning" the pulse width over the time within
     the burst. ``timing`` lets start and end follow the walking speed. The targets
     are the least toe height in mid-swing, the sensor's greatest height (used where the toe's is not known), and the
-    foot's pitch at initial contact (toe-up positive). The ``max_change_*`` hold for one stride.
+    foot's pitch at initial contact (toe-up positive), or, of a channel on the evertors, its eversion there. The
+    ``max_change_*`` hold for one stride.
     """
 
     mode: Literal["off", "suggest", "act"] = "off"
@@ -67,6 +68,7 @@ class Tuning(Settings):
     toe_clearance_m: Band | None = None
     sensor_clearance_m: Band | None = None
     pitch_at_contact_deg: Band | None = None
+    eversion_at_contact_deg: Band | None = None
     bounds: TuningBounds | None = None
     gain: float = Field(default=0.6, gt=0, le=1)
     max_change_ma: Step = Field(default=2.0, le=5.0)
@@ -82,7 +84,10 @@ class Tuning(Settings):
         if self.bounds is None:
             needed = "bounds (current_ma, pulse_width_us, start_delay_s, extension_s)"
             raise ValueError(f'mode = "{self.mode}" needs {needed}')
-        if self.toe_clearance_m is None and self.sensor_clearance_m is None and self.pitch_at_contact_deg is None:
-            needed = "a target: toe_clearance_m, sensor_clearance_m or pitch_at_contact_deg"
+        targets = (self.toe_clearance_m, self.sensor_clearance_m, self.pitch_at_contact_deg)
+        if self.eversion_at_contact_deg is not None and any(targets):
+            raise ValueError("eversion_at_contact_deg is the only target of its channel; the toe is another muscle's")
+        if self.eversion_at_contact_deg is None and not any(targets):
+            needed = "a target: toe_clearance_m, sensor_clearance_m, pitch_at_contact_deg or eversion_at_contact_deg"
             raise ValueError(f'mode = "{self.mode}" needs {needed}')
         return self

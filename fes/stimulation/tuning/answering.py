@@ -1,158 +1,108 @@
 """Whether the foot answers to stimulation at all: one whose electrode has come off must not be given ever more.
 
-Two things show it. *A climb in vain*: over a run of strides below the target the drive has been raised, to near its
-upper bound (a foot whose threshold lies above the session's setting answers to nothing below it), and a straight
-line through level against drive rises by less than even a weak foot's would, two standard errors allowed for. *A sudden
-loss*: strides that lay well above those without stimulation lie among these, and more drive does not bring them back.
-The foot's pitch at contact is the best witness, for a hip that lifts a dragging leg hardly moves it; of several
-measures the one that shows it most exactly decides, the others must not contradict it.
+By the identified response: nearly all that the bound allows has been given over some strides, the target is not
+reached, and all that stimulation can be believed to lift the foot by is less than the weakest foot's answer. A foot
+whose threshold lies above the session's setting answers to nothing below it, so it is searched for upward first. A foot
+that lies among its strides without stimulation although more was given than it needed before is lost.
 """
 
-import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from statistics import median
 from typing import Final
 
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.demand import BELIEVED, NOISE, NOISE_AT_CONTACT, SLOPE_BOUNDS
 from fes.stimulation.tuning.guardrails import at_most, drive_of
+from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.targets import Reading
 
-CLIMB: Final = 0.225  # of the drive at the upper bound: that much tried in vain …
-SEARCHED: Final = 0.8  # of it: no threshold is looked for above
-LEAST_CLIMB: Final = 0.075  # … or this, where the bound leaves no more
-STRIDES: Final = 5  # of a run, the first of them before the climb
-REMEMBERED: Final = 16
-STUMBLE: Final = 0.5  # of the band below the run's median: such a stride says nothing about the others
-WEAKEST: Final = SLOPE_BOUNDS[0]  # bands over the bound's whole range: the weakest answer that is believed …
-NONE: Final = 0.5 * WEAKEST  # … and what a foot that answers exceeds
+SEARCHED: Final = 0.8  # of the bound: no threshold is looked for above
+STRIDES: Final = 5  # below the target, so many of them in a row …
+AT_LAST: Final = 3  # … and so many with nearly all that the bound allows
+WEAKEST: Final = 0.5  # bands that nearly all of the bound lifts the weakest foot by
 SDS: Final = 2.0
 BARE: Final = 6  # strides without stimulation that are remembered
-HELD: Final = 8
-LAST: Final = 3
-MORE: Final = 2  # of these have had more than the foot needed: a loose electrode would have been made up for
-CLEAR: Final = 5.0  # times a stride's noise: by so much stimulation had lifted the foot
-LOST: Final = 0.25  # of that is left at most
+BARE_NEEDED: Final = 3
+LOST_STRIDES: Final = 3
+LOST: Final = 0.25  # of what stimulation lifted the foot by is left at most …
+LIFTED: Final = 0.35  # … which was so many bands
+MORE: Final = 0.15  # of the bound: a loose electrode would have been made up for
 
 NO_ANSWER: Final = "the foot does not answer to stronger stimulation"
 LIKE_NONE: Final = "the foot moves as it does without stimulation"
 
 
-@dataclass(frozen=True, slots=True)
-class _SeenStride:
-    """A stride: levels by measure, the drive each has seen, and the settings."""
-
-    levels: Mapping[str, float]
-    drives: Mapping[str, float]
-    parameters: BurstParameters
-
-
 class AnswerMonitor:
-    """Whether one channel's foot answers, stride by stride; ``most`` is the drive at the intensity's upper bound."""
+    """Whether one channel's foot answers, stride by stride."""
 
-    def __init__(self, most: float) -> None:
-        self._most = most
-        self._run: deque[_SeenStride] = deque(maxlen=REMEMBERED)  # since all targets were last reached
-        self._recent: deque[_SeenStride] = deque(maxlen=HELD + LAST)
+    def __init__(self) -> None:
+        self._run: deque[tuple[float, BurstParameters]] = deque(maxlen=16)  # drives since the targets were last reached
+        self._lifted: dict[str, tuple[float, float]] = {}  # by how much, and by what drive, when last reached
+        self._newest: deque[Mapping[str, float]] = deque(maxlen=LOST_STRIDES)
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
-        self._contact: set[str] = set()
 
     def forget(self) -> None:
         """A person is looking after it, or has: what was seen no longer holds, but for strides without stimulation."""
         self._run.clear()
-        self._recent.clear()
+        self._newest.clear()
+        self._lifted.clear()
 
     def add_bare(self, reading: Reading | str) -> None:
         """A stride in which nothing was delivered; one that could not be read says nothing."""
         if not isinstance(reading, str):
             self._bare.append(reading.levels)
 
-    def stride(self, reading: Reading, drives: Mapping[str, float], parameters: BurstParameters, *, spent: bool) -> str:
-        """Take in a valid stride, and the drive that each measure has seen; says so when the foot does not answer.
+    def stride(
+        self, reading: Reading, drives: Mapping[str, float], parameters: BurstParameters, model: ResponseModel,
+        *, spent: bool,
+    ) -> str:  # fmt: skip
+        """Take in a valid stride that the model knows; says so when the foot does not answer.
 
         ``spent``: whether ``parameters``, under which it was walked, are at the intensity's upper bound.
         """
-        self._contact |= {measure.name for measure in reading.measures if measure.at_contact}
-        seen = _SeenStride(reading.levels, dict(drives), parameters)
-        self._recent.append(seen)
+        drive = min(drives.values())
+        self._newest.append(reading.levels)
         if reading.level >= 0.0:
             self._run.clear()
+            for measure in reading.measures:
+                if (bare := self._without(measure.name)) is not None:
+                    self._lifted[measure.name] = (measure.level - bare, drives[measure.name])
             return ""
-        self._run.append(seen)
-        # below the threshold nothing answers: a session set too low is searched upwards first
-        searched = spent or min(drives.values()) >= SEARCHED * self._most
-        if searched and self._climbed_in_vain(self._most * (LEAST_CLIMB if spent else CLIMB)):
+        self._run.append((drive, parameters))
+        if self._in_vain(reading, drives, model, spent=spent):
             return NO_ANSWER
-        return LIKE_NONE if self._suddenly_lost() else ""
+        return LIKE_NONE if self._lost(drives) else ""
 
     def before(self, own: BurstParameters) -> BurstParameters:
         """The settings before the climb, the intensity at most the session's ``own``."""
-        weakest = min((seen.parameters for seen in self._run), key=lambda one: drive_of(one, own), default=own)
+        weakest = min((each for _, each in self._run), key=lambda one: drive_of(one, own), default=own)
         return at_most(weakest, own)
 
-    def _climbed_in_vain(self, enough: float) -> bool:
-        if len(self._run) < STRIDES:
+    def _in_vain(self, reading: Reading, drives: Mapping[str, float], model: ResponseModel, *, spent: bool) -> bool:
+        given: Sequence[float] = [drive for drive, _ in self._run]
+        if len(given) < STRIDES or not (spent or min(given[-AT_LAST:]) >= SEARCHED):
             return False
-        slopes = []
-        for name in _common(self._run):
-            levels = [seen.levels[name] for seen in self._run]
-            drives = [seen.drives[name] for seen in self._run]
-            if median(levels) >= 0.0 or drives[-1] - min(drives) < enough:
-                return False  # where one target is reached, more or less, the foot is being lifted
-            if median(levels) - self._without(name) > CLEAR * self._noise(name):
-                return False  # lifted as well, and more does not lift it further
-            slope, error = _slope(drives, levels, self._noise(name))
-            slopes.append((self._most * slope, self._most * error))
-        if not slopes:
+        for measure in reading.measures:
+            gained = model.gained(measure.name, drives[measure.name])
+            if gained.value + SDS * gained.sd > WEAKEST:
+                return False
+            if model.expected(measure.name, drives[measure.name]).value >= 0.0:
+                return False  # this target is reached: the foot is being lifted
+        return True
+
+    def _lost(self, drives: Mapping[str, float]) -> bool:
+        if len(self._newest) < LOST_STRIDES:
             return False
-        slope, error = min(slopes, key=lambda each: each[1])
-        return slope < error and slope + SDS * error < NONE and all(other < WEAKEST for other, _ in slopes)
+        for name, (lifted, drive) in self._lifted.items():
+            bare = self._without(name)
+            newest = [levels[name] for levels in self._newest if name in levels]
+            if bare is None or lifted < LIFTED or len(newest) < LOST_STRIDES or name not in drives:
+                continue
+            if max(newest) - bare < LOST * lifted and drives[name] >= drive + MORE:
+                return True
+        return False
 
-    def _suddenly_lost(self) -> bool:
-        earlier, last = list(self._recent)[:-LAST], list(self._recent)[-LAST:]
-        if len(earlier) < LAST or not self._bare:
-            return False
-        names = [name for name in _common(self._recent) if all(name in levels for levels in self._bare)]
-        if not names or any(median(seen.levels[name] for seen in last) >= 0.0 for name in names):
-            return False
-        name = next((name for name in names if name in self._contact), names[0])
-        bare = self._without(name)
-        held = median(seen.levels[name] for seen in earlier) - bare
-        left = max(seen.levels[name] for seen in last) - bare
-        usual = median(seen.drives[name] for seen in earlier)
-        if sum(seen.drives[name] >= usual + CLIMB * self._most for seen in last) < MORE:
-            return False
-        return held > CLEAR * self._noise(name) and left < LOST * held
-
-    def _without(self, name: str) -> float:
-        """The level without stimulation; infinite where none was seen."""
-        return median([levels[name] for levels in self._bare if name in levels] or [math.inf])
-
-    def _noise(self, name: str) -> float:
-        return NOISE_AT_CONTACT if name in self._contact else NOISE
-
-
-def _common(strides: Sequence[_SeenStride] | deque[_SeenStride]) -> list[str]:
-    """Measures that all of them have, in an order that does not change."""
-    return sorted(set.intersection(*(set(seen.levels) for seen in strides)))
-
-
-def _slope(drives: Sequence[float], levels: Sequence[float], usual_noise: float) -> tuple[float, float]:
-    """Of the line of least squares through levels against drives, and its standard error; infinite for too few.
-
-    The noise is that about the line and what is usual, which counts as ``BELIEVED`` strides: few may agree by chance.
-    """
-    middle = median(levels)
-    pairs = [(u, z) for u, z in zip(drives, levels, strict=True) if z >= middle - STUMBLE]
-    n = len(pairs)
-    if n < STRIDES:
-        return 0.0, math.inf
-    mean_u, mean_z = sum(u for u, _ in pairs) / n, sum(z for _, z in pairs) / n
-    uu = sum((u - mean_u) ** 2 for u, _ in pairs)
-    if uu <= 0.0:
-        return 0.0, math.inf
-    slope = sum((u - mean_u) * (z - mean_z) for u, z in pairs) / uu
-    rest = sum((z - mean_z - slope * (u - mean_u)) ** 2 for u, z in pairs)
-    return slope, math.sqrt((BELIEVED * usual_noise**2 + rest) / (BELIEVED + n - 2) / uu)
+    def _without(self, name: str) -> float | None:
+        """The level without stimulation; None where too little was seen of it."""
+        levels = [levels[name] for levels in self._bare if name in levels]
+        return median(levels) if len(levels) >= BARE_NEEDED else None

@@ -29,6 +29,7 @@ class Tuners:
                 session.stimulation.min_stride_length_m,
                 session.stimulation.intensity,
                 free_ground=session.ground.free,
+                geometry=session.geometry.get(channel.foot),
             )
             for channel in session.channels
             if channel.tuning is not None and channel.tuning.mode != "off"

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import Final
+from typing import Final, NamedTuple
 
 from fes.config import Band, Tuning
 from fes.signals import NS_PER_S, FloatArray, StrideResult
@@ -26,8 +26,11 @@ MOST_RISE_M: Final = 0.05  # of a stride on the ground that the session says
 LEAST_STAIR_M: Final = 0.12  # rises by more on any stair, however a sensor scatters
 RISES: Final = 20
 RISE_SDS: Final = 4.0
+UNEVEN_GROUND: Final = "a stair or a slope"
 NO_CHARGE: Final = "no stimulation was delivered in it"
 PITCH = "foot pitch at contact"
+ROLL = "eversion at contact"
+MID_SWING_BEGIN = 0.25  # of the swing: from there on the toe passes low …
 MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
 
 
@@ -69,7 +72,7 @@ class GroundWatch:
             spread_m = 1.4826 * median(abs(rise - usual_m) for rise in self._rises)
             allowed_m = max(self._most_m, min(RISE_SDS * spread_m, LEAST_STAIR_M))
         if abs(rise_m - usual_m) > allowed_m:
-            return f"the foot went {100 * (rise_m - usual_m):+.0f} cm up: a stair or a slope"
+            return f"the foot went {100 * (rise_m - usual_m):+.0f} cm up: {UNEVEN_GROUND}"
         self._rises.append(rise_m)
         return ""
 
@@ -141,7 +144,7 @@ class Measure:
     @property
     def at_contact(self) -> bool:
         """Whether it is measured at initial contact rather than in mid-swing."""
-        return self.name == PITCH
+        return self.name in (PITCH, ROLL)
 
     @property
     def level(self) -> float:
@@ -178,6 +181,7 @@ def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
     missing: list[str] = []
     stand_in = ""
     toe, sensor, pitch = tuning.toe_clearance_m, tuning.sensor_clearance_m, tuning.pitch_at_contact_deg
+    eversion = tuning.eversion_at_contact_deg
     if toe is not None and math.isfinite(stride.toe_clearance_m):
         measures.append(Measure("toe clearance", stride.toe_clearance_m, toe, 1e3, "mm"))
     elif sensor is not None and math.isfinite(stride.clearance_m):
@@ -195,6 +199,12 @@ def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
             measures.append(Measure(PITCH, math.degrees(angle), pitch, 1.0, "°"))
         else:
             missing.append("initial contact was not seen")
+    if eversion is not None:
+        angle = -roll_at_contact_rad(stride)
+        if math.isfinite(angle):
+            measures.append(Measure(ROLL, math.degrees(angle), eversion, 1.0, "°"))
+        else:
+            missing.append("the foot's roll at initial contact was not seen")
     if not measures:
         return "; ".join(missing)
     return Reading(tuple(sorted(measures, key=lambda measure: measure.level)), stand_in)
@@ -226,14 +236,26 @@ def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
     return ys[k - 1] + share * (ys[k] - ys[k - 1])
 
 
-def swing_times(stride: StrideResult) -> tuple[float, float] | None:
-    """When mid-swing ended and when contact was, s since entry into pre-swing; None without these phases."""
+class SwingTimes(NamedTuple):
+    """Seconds since entry into pre-swing: foot off, the end of mid-swing, contact."""
+
+    foot_off_s: float
+    middle_s: float
+    contact_s: float
+
+    def share(self, at_s: float) -> float:
+        """The share of the swing that is over at a time."""
+        return (at_s - self.foot_off_s) / (self.contact_s - self.foot_off_s)
+
+
+def swing_times(stride: StrideResult) -> SwingTimes | None:
+    """When the swing was; None without these phases."""
     begin_ns, swing_ns = stride.t_pre_swing_ns, stride.t_swing_ns
     contact_ns = stride.t_loading_response_ns or stride.t_stance_ns
     if begin_ns is None or swing_ns is None or contact_ns is None or not begin_ns <= swing_ns < contact_ns:
         return None
     middle_ns = swing_ns + MID_SWING_END * (contact_ns - swing_ns)
-    return 1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns)
+    return SwingTimes(1e-9 * (swing_ns - begin_ns), 1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
 
 
 def times_ns(stride: StrideResult) -> list[float]:

@@ -39,7 +39,7 @@ LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
 SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
 LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
 SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
-WEAK: Final = 1.5  # bands per drive; 2 to 3 are usual
+WEAK: Final = 1.5  # bands over the intensity's whole range; 2 to 3 are usual
 PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
 SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
@@ -98,8 +98,8 @@ class SpeedTiming:
         """Let the start come later, or sooner again.
 
         ``missing`` is > 0 when more stimulation is needed, ``used`` the share of the intensity's bound in use,
-        ``slope`` that of what is reached in mid-swing, in bands per drive: where it hardly answers to a stronger burst,
-        the burst comes too late for it rather than too weak.
+        ``slope`` that of what is reached in mid-swing, bands over the whole range: where it hardly answers to a
+        stronger burst, the burst comes too late for it rather than too weak.
         """
         if missing > 0.0 and (used >= SPENT or slope < WEAK):
             self._late = max(self._late - PATIENCE, 0.0)

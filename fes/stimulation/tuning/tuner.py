@@ -3,17 +3,20 @@
 Deterministic and without a clock: the same strides, charges and acts give the same changes, live and in replay.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from fes.config import Channel, Tuning
+import numpy as np
+
+from fes.config import Channel, FootGeometry, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import AnswerMonitor
-from fes.stimulation.tuning.demand import Demand, Response, Responses, at_contact, in_mid_swing, reason
+from fes.stimulation.tuning.delay import STEP_S, DelayEstimate
+from fes.stimulation.tuning.demand import Demand, at_contact, demands_of, in_mid_swing, reason
 from fes.stimulation.tuning.faults import FaultWatch
 from fes.stimulation.tuning.guardrails import (
-    HarmMonitor,
     at_most,
     drive_of,
     limited,
@@ -22,11 +25,25 @@ from fes.stimulation.tuning.guardrails import (
     share_used,
     strongest_drive,
 )
-from fes.stimulation.tuning.intensity import Intensity, Zones
-from fes.stimulation.tuning.targets import NO_CHARGE, Reading, StrideFilter, jolted, read_stride
+from fes.stimulation.tuning.memory import SpeedMemory
+from fes.stimulation.tuning.reference import missing_drive
+from fes.stimulation.tuning.response import ResponseModel
+from fes.stimulation.tuning.shape import BurstShape, Zones
+from fes.stimulation.tuning.targets import (
+    NO_CHARGE,
+    PITCH,
+    ROLL,
+    UNEVEN_GROUND,
+    Reading,
+    StrideFilter,
+    jolted,
+    read_stride,
+    swing_times,
+    times_ns,
+)
 from fes.stimulation.tuning.timing import SPENT, Lowering, SpeedTiming
 
-Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen"]
+Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen", "identified"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +87,16 @@ def difference(before: BurstParameters, after: BurstParameters) -> str:
 
 
 SPARED: Final = 6  # strides after a fault in which nothing is lowered
-HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
-MOST_ROLL_BACKS: Final = 3
 NEAR_AIM: Final = 0.5  # of the band: nearer than this a change must show its effect before the next
 UNREACHED_STRIDES: Final = 5
 TIMING_DEAD_S: Final = 0.015
 JOLTS: Final = 2  # strides in a row whose contact cannot be true: stimulation jerks the foot up
 OUTLIER: Final = 1.5  # of the band, or OUTLIER_SDS of the noise: once it may be chance, twice it is not
 OUTLIER_SDS: Final = 6.0
+UNEVEN: Final = 2  # strides in a row on a stair or slope: what was learnt on even ground is put away
+CONTRARY_SDS: Final = 2.0  # that far below nothing is the slope of a foot that more stimulation makes worse
+CLIMBED: Final = 0.08  # of the bound: less has not been tried
+TOLD_EVERY: Final = 10  # strides, what was identified
 
 
 class Tuner:
@@ -94,6 +113,7 @@ class Tuner:
         usual_intensity: float = 1.0,
         *,
         free_ground: bool = False,
+        geometry: FootGeometry | None = None,
     ) -> None:
         self.channel = channel
         self.tuning = channel.tuning or Tuning()
@@ -101,24 +121,26 @@ class Tuner:
         self.parameters = self.start
         self.pending: BurstParameters | None = None
         self.frozen = ""
-        most = strongest_drive(channel, self.tuning)
-        self.response = Response(most=most)
-        self._responses = Responses(most)
+        self.model = ResponseModel()
+        self.delay = DelayEstimate()
+        self._geometry = geometry
         self._usual_intensity = usual_intensity
-        self._intensity = Intensity(channel, self.tuning)
+        self._most = strongest_drive(channel, self.tuning)
+        self._shape = BurstShape(channel, self.tuning, self._most)
         self._filter = StrideFilter(self.tuning, min_stride_length_m, free_ground=free_ground)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
-        self._harm = HarmMonitor()
-        self._answers = AnswerMonitor(most)
-        self._faults = FaultWatch(most)
+        self._answers = AnswerMonitor()
+        self._faults = FaultWatch()
+        self._memory = SpeedMemory()
         self._spared = 0  # strides in which nothing is lowered, for a fault was found
         self._returning: BurstParameters | None = None
+        self._even: BurstParameters | None = None  # what was learnt on even ground, while it is put away
+        self._climb: tuple[BurstParameters, float] | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
-        self._hold = 0
         self._settle = 0
-        self._roll_backs = 0
         self._unreached = 0
+        self._uneven = 0
         self._odd = 0.0
         self._jolts = 0
 
@@ -131,7 +153,6 @@ class Tuner:
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending, self._returning = why, None, None
-        self._harm.forget()
         self._answers.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
 
@@ -144,8 +165,8 @@ class Tuner:
         """Go on after a freeze; where the foot did not answer, without what was learnt meanwhile."""
         if self._lost:
             self._lost = False
-            self._forget_responses()
-        self.frozen, self._roll_backs = "", 0
+            self.model = ResponseModel()
+        self.frozen, self._climb = "", None
         return self._report(t_ns, "frozen", "tuning goes on")
 
     def accept(self, t_ns: int) -> TuningReport | None:
@@ -181,39 +202,84 @@ class Tuner:
         if stopped and self._returning is not None and (report := self._still_returning(t_ns)):
             return report  # it has stopped itself: whatever the stride was like, less is on the way
         if why:
-            return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
+            return self._on_skip(t_ns, stride, why)
+        self._uneven = 0
         if why := jolted(stride):
-            return self._on_jolt(t_ns, stride, why, drive)
+            return self._on_jolt(t_ns, stride, why)
         self._jolts = 0
         reading = read_stride(stride, self.tuning)
         if isinstance(reading, str):
             return self._report(t_ns, "skip", f"stride {stride.number} skipped: {reading}")
-        if self._unlike_the_others(reading.level, drive):
+        zones = self._shape.zones(stride, self.parameters, self.delay.delay_s.value)
+        drives = self._shape.drives(reading, zones, self.parameters, intensity)
+        if self._unlike_the_others(reading, drives):
             text = f"stride {stride.number} skipped: {reading.measures[0].text()} is unlike the strides before"
             return self._report(t_ns, "skip", text)
-        zones = self._intensity.zones(stride, self.parameters)
-        drives = self._intensity.drives(reading, zones, self.parameters, intensity)
-        fault = self._faults.stride(stride, reading, drives)
+        other_speed = self._memory.changed(stride.speed_mps)
+        if other_speed:
+            self._faults.forget()
+        fault = self._faults.stride(reading, drives, self.model)
         self._spared = SPARED if fault else max(self._spared - 1, 0)
+        if fault or other_speed:
+            self._faults.forget()
+            self.model.shake()
+            self._climb = None
         if fault:
-            self._forget_responses()
-            self._harm.forget()
-        self.response.add(drive, reading.level)
-        self._responses.add(reading, drives)
+            self._memory.forget()
+        self.model.add(reading, drives)
+        self._learn_delay(stride, intensity)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
-        harmful = self._harm.stride(drive, self.response)
+        if 0.0 <= reading.level <= 1.0 and not self._spared:
+            self._memory.keep(self.drive)
         spent = share_used(self.parameters, self.tuning) >= SPENT
-        if not self.frozen and (why := self._answers.stride(reading, drives, self.parameters, spent=spent)):
+        if not self.frozen and (why := self._answers.stride(reading, drives, self.parameters, self.model, spent=spent)):
             return self._stop(t_ns, why)
         if self._returning is not None and (report := self._still_returning(t_ns)):
             return report
         if self.frozen:
             return None
-        if harmful is not None and self.tuning.mode == "act":
-            return self._roll_back_to(t_ns, harmful, reading)
-        report = self._tune(t_ns, reading, self._responses.demands(reading, drives), drive, zones, intensity)
+        if self._even is not None:
+            self._returning, self._even = self._even, None
+            return self._still_returning(t_ns)
+        if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
+            return report
+        known = self._memory.known() if other_speed else None
+        report = self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
         return self._with_fault(t_ns, stride, fault, report) if fault else report
+
+    def _on_skip(self, t_ns: int, stride: StrideResult, why: str) -> TuningReport:
+        """On stairs and slopes that the session does not say, its own settings; what was learnt waits meanwhile."""
+        self.delay.forget_last()
+        text = f"stride {stride.number} skipped: {why}"
+        self._uneven = self._uneven + 1 if UNEVEN_GROUND in why else 0
+        if self._uneven < UNEVEN or self.frozen or self.tuning.mode != "act":
+            return self._report(t_ns, "skip", text)
+        before = self.parameters
+        if self._even is None:
+            self._even = before
+        self.parameters = limited(before, self.start, self.tuning)
+        changes = difference(before, self.parameters)
+        if not changes:
+            return self._report(t_ns, "skip", text)
+        return self._report(t_ns, "change", f"{text}; the session's own settings there: {changes}", before)
+
+    def _learn_delay(self, stride: StrideResult, intensity: float) -> None:
+        """Hold this swing's pitch against the stride's before, and so the drives that both had."""
+        times = swing_times(stride)
+        if times is None or stride.t_pre_swing_ns is None:
+            return
+        burst_s = self.parameters.start_delay_s + (times.foot_off_s if self.channel.start_phase == "swing" else 0.0)
+        at_s = np.arange(0.0, times.contact_s, STEP_S)
+        widths_us = np.array([self.parameters.width_us(t - burst_s) for t in at_s])
+        rise = np.clip((at_s - burst_s) / self.channel.rise_s, 0.0, 1.0)
+        full = intensity * self.parameters.current_ma / self.start.current_ma / self.start.mean_width_us / self._most
+        effect = np.maximum(full * widths_us * rise - self.model.threshold.value, 0.0)
+        pitch_s = 1e-9 * (np.array(times_ns(stride)) - stride.t_pre_swing_ns)
+        inside = (pitch_s >= 0.0) & (pitch_s <= times.contact_s)
+        angle = stride.pitch_rad if self.tuning.eversion_at_contact_deg is None else -stride.roll_rad
+        if len(angle) == len(pitch_s):
+            self.delay.add(pitch_s[inside].tolist(), angle[inside].tolist(), at_s.tolist(), effect)
 
     def _with_fault(self, t_ns: int, stride: StrideResult, fault: str, change: TuningReport | None) -> TuningReport:
         """The fault's name, and what was done about it in the same stride."""
@@ -224,47 +290,47 @@ class Tuner:
             return replace(change, text=f"{change.text}; {text}")
         return replace(change, kind="fault", text=f"{text}; look at it. {change.text}")
 
-    def _forget_responses(self) -> None:
-        self.response.forget()
-        self._responses.forget()
-
     @property
     def drive(self) -> float:
         """Stimulation in force relative to the session's, at full intensity."""
         return drive_of(self.parameters, self.start)
 
-    def _on_jolt(self, t_ns: int, stride: StrideResult, why: str, drive: float) -> TuningReport | None:
+    def _on_jolt(self, t_ns: int, stride: StrideResult, why: str) -> TuningReport | None:
         """One such stride may be chance and teaches nothing; when they go on, less is the way out."""
         self._jolts += 1
         if self._jolts >= JOLTS and not self.frozen and self._returning is None:
-            after = limited(self.parameters, self._intensity.lessened(self.parameters, -1.0), self.tuning)
+            after = limited(self.parameters, self._shape.lessened(self.parameters), self.tuning)
             if changes := difference(self.parameters, after):
-                self._forget_responses()
+                self.model.shake()
                 text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {changes}"
-                return self._propose(t_ns, after, text, drive, 0.0)
+                return self._propose(t_ns, after, text)
         return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
 
-    def _unlike_the_others(self, level: float, drive: float) -> bool:
+    def _unlike_the_others(self, reading: Reading, drives: Mapping[str, float]) -> bool:
         """Whether this stride stands alone; two of the same kind in a row are believed."""
         odd, before = 0.0, self._odd
-        if self.response.count >= 3:
-            off = level - self.response.level_at(drive)
-            odd = off if abs(off) > max(OUTLIER, OUTLIER_SDS * self.response.noise) else 0.0
+        worst = reading.measures[0]
+        if self.model.strides >= 3 and self.model.knows(worst.name):
+            off = worst.level - self.model.expected(worst.name, drives[worst.name]).value
+            odd = off if abs(off) > max(OUTLIER, OUTLIER_SDS * self.model.noise(worst.name)) else 0.0
         self._odd = odd
         return odd != 0.0 and odd * before <= 0.0
 
-    def _roll_back_to(self, t_ns: int, parameters: BurstParameters, reading: Reading) -> TuningReport:
+    def _contrary(self, t_ns: int, reading: Reading) -> TuningReport | None:
+        """Back to before the climb, where the climb itself is known to have made the foot worse."""
+        worst = reading.measures[0]
+        slope = self.model.slope(worst.name)
+        if self._climb is None or slope.value + CONTRARY_SDS * slope.sd >= 0.0 or outside(worst.level) == 0.0:
+            return None
+        settings, _ = self._climb
+        if drive_of(self.parameters, settings) - 1.0 < CLIMBED:
+            return None
         before = self.parameters
-        self._returning, self._hold = parameters, HOLD_STRIDES
-        self._roll_backs += 1
-        text = f"{reading.measures[0].text()} has got worse with the last changes"
-        if self._roll_backs > MOST_ROLL_BACKS:
-            self.freeze(t_ns, f"stopped itself after {self._roll_backs} roll-backs")
-            self._returning = self.start
-            text += " once more; tuning stops itself and goes back to the session's settings, look at the electrodes"
+        self._returning, self._climb = settings, None
         self._return()
         changes = difference(before, self.parameters)
-        return self._report(t_ns, "roll_back", f"{text}: rolled back, {changes}", before)
+        text = f"{worst.text()} has got worse the more stimulation was given: rolled back, {changes}"
+        return self._report(t_ns, "roll_back", text, before)
 
     def _stop(self, t_ns: int, why: str) -> TuningReport:
         """The foot does not answer: nothing is raised any more, and what was raised is taken back."""
@@ -292,25 +358,19 @@ class Tuner:
         return self._report(t_ns, "roll_back", f"still going back: {changes}", before) if changes else None
 
     def _tune(
-        self, t_ns: int, reading: Reading, demands: tuple[Demand, ...], drive: float, zones: Zones | None,
-        intensity: float,
+        self, t_ns: int, stride: StrideResult, reading: Reading, demands: tuple[Demand, ...], zones: Zones | None,
+        intensity: float, known: float | None,
     ) -> TuningReport | None:  # fmt: skip
         before = self.parameters
-        if self._hold:
-            self._hold -= 1
-            if not self._hold:
-                self._harm.returned(self.response)
-        inverted = self._harm.inverted
-        worst = demands[0] if inverted else self._intensity.leader(demands, zones, before)
-        error = 0.0 if self._hold or (self._spared and worst.error < 0.0 and not inverted) else worst.error
-        if inverted and outside(self.response.level_at(drive)) == 0.0:
-            error = 0.0  # this foot answers the other way round: inside the band nothing is to be gained
+        worst = self._shape.leader(demands, zones, before)
+        error = 0.0 if self._spared and worst.error < 0.0 else worst.error
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
             error = 0.0
         self._settle = max(self._settle - 1, 0)
-        if not self._hold:
-            self._timing.put_off(demands[0].error, share_used(before, self.tuning), in_mid_swing(demands).slope)
-            self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
+        middle = in_mid_swing(demands)
+        slope = self.model.slope_at(middle.measure.name, middle.drive)
+        self._timing.put_off(demands[0].error, share_used(before, self.tuning), slope)
+        self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
         wanted = before
         if self.tuning.timing and self._timing.enough_strides:
             channel = self.channel
@@ -319,39 +379,87 @@ class Tuner:
                 wanted = replace(wanted, start_delay_s=delay_s)
             if abs(extension_s - before.extension_s) > TIMING_DEAD_S:
                 wanted = replace(wanted, extension_s=extension_s)
-        if error and inverted:
-            error = -error
-            wanted = self._intensity.lessened(wanted, error)
+        if known is not None:
+            wanted = self._shape.scaled(wanted, known / self.drive)
         elif error:
-            wanted = self._intensity.answered(wanted, demands, zones, intensity)
+            wanted = self._answered(wanted, stride, demands, zones, intensity)
         after = limited(before, wanted, self.tuning)
         if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
         if changes := difference(before, after):
             why = self._timing.reason(after.extension_s)
-            if error:
-                why = reason(replace(worst, error=error), inverted=inverted, stand_in=reading.stand_in)
-                why += self._intensity.why_held(before, after, demands, worst)
-            return self._propose(t_ns, after, f"{why}: {changes}", drive, error)
+            if known is not None:
+                why = f"at {stride.speed_mps:.1f} m/s this was right before"
+            elif error:
+                why = reason(replace(worst, error=error), stand_in=reading.stand_in)
+                why += self._shape.why_held(before, after, demands, worst)
+            return self._propose(t_ns, after, f"{why}: {changes}")
         self.pending = None
-        return self._hint_if_unreached(t_ns, reading)
+        return self._hint_if_unreached(t_ns, reading) or self._identified(t_ns)
 
-    def _propose(self, t_ns: int, after: BurstParameters, text: str, drive: float, error: float) -> TuningReport | None:
+    def _answered(
+        self, wanted: BurstParameters, stride: StrideResult, demands: tuple[Demand, ...], zones: Zones | None,
+        intensity: float,
+    ) -> BurstParameters:  # fmt: skip
+        """``wanted`` with the intensity that the demands ask for, by the channel's method."""
+        if self.tuning.method == "run_to_run":
+            return self._shape.answered(wanted, demands, zones, intensity)
+        if zones is None or zones.times is None:
+            return wanted
+        missing = missing_drive(stride, zones.times, demands, self.model, self._geometry, self.tuning.gain)
+        if not missing.times_s:
+            return wanted
+        return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity)
+
+    def _propose(self, t_ns: int, after: BurstParameters, text: str) -> TuningReport | None:
         before = self.parameters
         if self.tuning.mode == "suggest":
             if self.pending == after:
                 return None
             self.pending = after
             return TuningReport(t_ns, self.channel.number, "suggestion", f"suggested: {text}", before, after)
-        if error:
-            self._harm.changed(before, drive, error, self.response)
+        if drive_of(after, before) != 1.0:
             self._settle = 1
+        if drive_of(after, before) < 1.0 or self._climb is None:
+            self._climb = (after if drive_of(after, before) < 1.0 else before, 0.0)
         self.parameters = after
         return self._report(t_ns, "change", text, before)
 
+    def _identified(self, t_ns: int) -> TuningReport | None:
+        """What is known of this foot's answer, now and then."""
+        if self.model.strides % TOLD_EVERY:
+            return None
+        return self._report(t_ns, "identified", self.identified())
+
+    def identified(self) -> str:
+        """Threshold, slopes and delay with their standard deviations, in words."""
+        bounds = self.tuning.bounds
+        if bounds is None or not self.model.strides:
+            return ""
+        most, unit = (
+            (bounds.current_ma.high, "mA") if self.tuning.method == "run_to_run" else (bounds.pulse_width_us.high, "µs")
+        )
+        threshold, delay = self.model.threshold, self.delay.delay_s
+        parts = [f"threshold {most * threshold.value:.0f} ± {most * threshold.sd:.0f} {unit}"]
+        for name, (span, shown) in self._spans().items():
+            if self.model.knows(name):
+                slope = self.model.slope(name)
+                parts.append(f"{name} {span * slope.value / most:.2g} ± {span * slope.sd / most:.1g} {shown}/{unit}")
+        parts.append(f"answer {1e3 * delay.value:.0f} ± {1e3 * delay.sd:.0f} ms after the pulse")
+        return "identified: " + ", ".join(parts)
+
+    def _spans(self) -> dict[str, tuple[float, str]]:
+        """By measure, its band's width in the unit that people read, and that unit."""
+        tuning = self.tuning
+        found = {
+            "toe clearance": (tuning.toe_clearance_m, 1e3, "mm"), "sensor lift": (tuning.sensor_clearance_m, 1e3, "mm"),
+            PITCH: (tuning.pitch_at_contact_deg, 1.0, "°"), ROLL: (tuning.eversion_at_contact_deg, 1.0, "°"),
+        }  # fmt: skip
+        return {name: (scale * (band.high - band.low), unit) for name, (band, scale, unit) in found.items() if band}
+
     def _hint_if_unreached(self, t_ns: int, reading: Reading) -> TuningReport | None:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
-        if self._unreached != UNREACHED_STRIDES or self._hold:
+        if self._unreached != UNREACHED_STRIDES:
             return None
         if share_used(self.parameters, self.tuning) >= SPENT:
             where = "at the upper bound: look at electrodes, fatigue and target"

@@ -1,0 +1,56 @@
+"""What was learnt, by walking speed: a stride at a speed once walked begins with what was right there.
+
+Kept are the settings under which strides lay within all targets, by speed in steps of ``STEP_MPS``; between two known
+speeds the strength is interpolated, beyond them the nearest one's counts as far as ``NEAR_MPS``. The ground is the
+session's, and strides on stairs and slopes that it does not say are never kept, nor do they walk with what was learnt.
+"""
+
+from collections import deque
+from statistics import median
+from typing import Final
+
+STEP_MPS: Final = 0.1
+NEAR_MPS: Final = 0.15
+OTHER: Final = 0.12  # of the speed so far: another speed
+NEWEST: Final = 3
+KEPT: Final = 0.7  # weight of what was known against the newest stride's
+
+
+class SpeedMemory:
+    """Of one channel: the strength (a drive) that was right at each speed."""
+
+    def __init__(self) -> None:
+        self._strength: dict[int, float] = {}
+        self._newest_mps: deque[float] = deque(maxlen=NEWEST)
+        self._walked_mps = 0.0
+
+    def changed(self, speed_mps: float) -> bool:
+        """Take in a stride's speed; whether the person now walks at another one."""
+        self._newest_mps.append(speed_mps)
+        now_mps = median(self._newest_mps)
+        other = self._walked_mps > 0.0 and abs(now_mps - self._walked_mps) > OTHER * self._walked_mps
+        if other or not self._walked_mps:
+            self._walked_mps = now_mps
+        return other
+
+    def keep(self, drive: float) -> None:
+        """This drive was right at the speed walked now."""
+        key = round(self._walked_mps / STEP_MPS)
+        self._strength[key] = KEPT * self._strength.get(key, drive) + (1.0 - KEPT) * drive
+
+    def forget(self) -> None:
+        """Something has changed that speed did not: what was right is so no longer."""
+        self._strength.clear()
+
+    def known(self) -> float | None:
+        """The drive that is right at the speed walked now, None where nothing near was walked."""
+        at = self._walked_mps / STEP_MPS
+        below = max((key for key in self._strength if key <= at), default=None)
+        above = min((key for key in self._strength if key >= at), default=None)
+        if below is not None and above is not None:
+            share = (at - below) / (above - below) if above > below else 0.0
+            return (1.0 - share) * self._strength[below] + share * self._strength[above]
+        near = below if above is None else above
+        if near is None or abs(near - at) * STEP_MPS > NEAR_MPS:
+            return None
+        return self._strength[near]

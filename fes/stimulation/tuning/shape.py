@@ -1,0 +1,199 @@
+"""What the demands do to a burst: current and a hold, or a profile of pulse widths over the burst.
+
+*Run-to-run* moves the current. Where the session's bounds let the pulse width fall below the channel's own and foot
+pitch at contact has a target, the burst has two levels: full width until the foot has been carried over, then a *hold*
+until the end, as strong as the pitch at contact needs, never stronger than the channel's own width.
+
+*Learning* is sample-wise iterative learning of the pulse-width profile:
+
+    u[k+1](t) = Q{u[k](t) + gain · G⁻¹ e[k](t + d)}
+
+after Seel, Werner, Raisch & Schauer, *Control Engineering Practice* 48 (2016). ``e[k]`` is what each sample of the last
+swing is short of its reference: the toe's height in mid-swing, foot pitch (or roll) where contact comes. ``G⁻¹`` turns
+it into drive by the identified response (threshold and slope), ``d`` is the identified delay from pulse to movement,
+and a pulse answers for all the samples that its force reaches. The swing's length varies, so only what the last swing
+reached is updated (variable pass length). Q averages over neighbours, no greater than 1 at any frequency.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean, median_low
+from typing import Final
+
+from fes.config import Channel, Tuning
+from fes.signals import StrideResult
+from fes.stimulation.envelope import BIN_S, BurstParameters
+from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, reason, room
+from fes.stimulation.tuning.guardrails import QUANTUM_MA, limited
+from fes.stimulation.tuning.targets import Reading, SwingTimes, swing_times
+
+SIDE: Final = 0.15  # weight of each neighbour in Q
+FORCE_LASTS_S: Final = 0.20  # a pulse's twitch, from its first effect on
+WEAKEST_HOLD: Final = 0.5  # of the channel's own width: less would hardly reach the muscle
+REMEMBERED: Final = 5
+HELD_BACK: Final = 0.99  # of the own width: a hold below it can still be raised
+
+
+@dataclass(frozen=True, slots=True)
+class Zones:
+    """Bins ``0 … middle`` carry the foot through mid-swing, ``middle … reached`` hold it until contact.
+
+    ``burst_s`` is when the burst began, since entry into pre-swing, as all the ``times``.
+    """
+
+    middle: int
+    reached: int
+    burst_s: float = 0.0
+    times: SwingTimes | None = None
+
+    def means(self, widths: Sequence[float]) -> tuple[float, float]:
+        """Mean width of each, the other's where one has no bins."""
+        first, last = widths[: self.middle], widths[self.middle : self.reached]
+        return fmean(first or last or widths), fmean(last or first or widths)
+
+
+def zones_of(times: SwingTimes, burst_s: float, delay_s: float, bins: int) -> Zones:
+    """Which bins the stride's mid-swing and its end are answerable to."""
+    reached = min(max(int((times.contact_s - burst_s) / BIN_S + 0.5), 0), bins)
+    middle = int((times.middle_s - delay_s - burst_s) / BIN_S + 0.5)
+    return Zones(min(max(middle, 0), reached), reached, burst_s, times)
+
+
+def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missing: Sequence[float]) -> list[float]:
+    """What each bin reached is short of, in drive: the most of all samples that its pulses' force reaches.
+
+    ``missing`` (N,) is what the samples at ``times_s`` (N,) since entry into pre-swing are short of; those before the
+    first and beyond the last answer for the bins that reach none.
+    """
+    found = []
+    for k in range(zones.reached):
+        begin_s = zones.burst_s + (k + 0.5) * BIN_S + delay_s
+        inside = [m for t, m in zip(times_s, missing, strict=True) if begin_s <= t <= begin_s + FORCE_LASTS_S]
+        found.append(max(inside) if inside else missing[0 if begin_s < times_s[0] else -1])
+    return found
+
+
+def next_profile(widths: Sequence[float], steps_us: Sequence[float]) -> list[float]:
+    """The next stride's profile in µs, before any limit or bound.
+
+    ``steps_us`` are the changes of the bins that the last swing reached. Q works on these; beyond them the profile goes
+    on with the width of the last, which the next, longer swing will judge.
+    """
+    n = len(steps_us)
+    raised = [width + step for width, step in zip(widths, steps_us, strict=False)]
+    smooth = list(widths)
+    for k in range(n):
+        before, after = raised[max(k - 1, 0)], raised[min(k + 1, n - 1)]
+        smooth[k] = SIDE * before + (1.0 - 2.0 * SIDE) * raised[k] + SIDE * after
+    if n:
+        smooth[n:] = [smooth[n - 1]] * (len(smooth) - n)
+    return smooth
+
+
+class BurstShape:
+    """Of one channel: settings in, settings out. Drives are shares of the upper bound, at full intensity."""
+
+    def __init__(self, channel: Channel, tuning: Tuning, most: float) -> None:
+        self._channel, self._tuning, self._most = channel, tuning, most
+        self._own = BurstParameters.for_channel(channel)
+        self._learns, bounds = tuning.method == "learning", tuning.bounds
+        may_fall = bounds is not None and bounds.pulse_width_us.low < channel.pulse_width_us
+        self._middles: deque[int] = deque(maxlen=REMEMBERED)  # so that the hold's begin does not follow every stride
+        self._zoned = self._learns or (may_fall and tuning.pitch_at_contact_deg is not None)
+
+    def zones(self, stride: StrideResult, parameters: BurstParameters, delay_s: float) -> Zones | None:
+        """Which part of the profile this stride's mid-swing and its end were answerable to; None for one drive."""
+        times = swing_times(stride) if self._zoned else None
+        if times is None:
+            return None
+        burst_s = parameters.start_delay_s
+        if self._channel.start_phase == "swing":
+            burst_s += times.foot_off_s
+        return zones_of(times, burst_s, delay_s, len(parameters.widths_us))
+
+    def drives(
+        self, reading: Reading, zones: Zones | None, parameters: BurstParameters, intensity: float
+    ) -> dict[str, float]:
+        """The drive that each measure has seen: what is measured at contact the late part's, the others the first's."""
+        widths = parameters.widths_us
+        full = intensity * parameters.current_ma / self._own.current_ma / self._own.mean_width_us / self._most
+        first, last = (parameters.mean_width_us,) * 2 if zones is None else zones.means(widths)
+        return {measure.name: full * (last if measure.at_contact else first) for measure in reading.measures}
+
+    def leader(self, demands: tuple[Demand, ...], zones: Zones | None, parameters: BurstParameters) -> Demand:
+        """The demand that a change is for, and that says why."""
+        if self._learns:
+            return leading(demands)
+        middle = in_mid_swing(demands)
+        if self._holds_back(zones, parameters):
+            return middle if middle.error else next((demand for demand in demands if demand.error), middle)
+        late = late_demand(demands)
+        if zones is not None and not demands[0].error and late is not None and late.error < 0.0:
+            return late
+        return demands[0]
+
+    def answered(
+        self, base: BurstParameters, demands: tuple[Demand, ...], zones: Zones | None, intensity: float
+    ) -> BurstParameters:
+        """Run-to-run: ``base`` with the current and the hold that the demands ask for, before any limit or bound."""
+        # a hold that is held back is itself the answer to what contact asks for
+        asks = in_mid_swing(demands) if self._holds_back(zones, base) else demands[0]
+        drive = asks.drive + self.gain(asks) * asks.step
+        if zones is None:
+            drive = min(drive, max(room((asks, *(each for each in demands if each is not asks))), asks.drive))
+        step = (drive - asks.drive) * self._most / intensity
+        after = limited(base, replace(base, current_ma=base.current_ma + step * self._own.current_ma), self._tuning)
+        hold = late_demand(demands)
+        return after if zones is None or hold is None else self._held(base, after, hold, zones, intensity)
+
+    def learnt(
+        self, base: BurstParameters, zones: Zones, delay_s: float, times_s: Sequence[float],
+        missing: Sequence[float], intensity: float,
+    ) -> BurstParameters:  # fmt: skip
+        """Learning: ``base`` with the profile that the last swing's samples ask for, before any limit or bound."""
+        per_drive_us = self._channel.pulse_width_us * self._most / intensity
+        steps_us = [per_drive_us * step for step in missing_drives(zones, delay_s, times_s, missing)]
+        return replace(base, widths_us=tuple(next_profile(base.widths_us, steps_us)))
+
+    def why_held(
+        self, before: BurstParameters, after: BurstParameters, demands: tuple[Demand, ...], led: Demand
+    ) -> str:
+        """Why the hold changes, in words, where what led to the change says nothing about it; "" otherwise."""
+        late = late_demand(demands)
+        if self._learns or after.widths_us == before.widths_us or late in (None, led):
+            return ""
+        held = "the hold until contact as strong as it was"
+        return f"; {reason(late) if late is not None and late.error else held}"
+
+    def lessened(self, base: BurstParameters) -> BurstParameters:
+        """As little as one stride allows."""
+        if not self._learns:
+            return replace(base, current_ma=base.current_ma - self._tuning.max_change_ma)
+        return replace(base, widths_us=tuple(width - self._tuning.max_change_us for width in base.widths_us))
+
+    def scaled(self, base: BurstParameters, factor: float) -> BurstParameters:
+        """``base`` with its strength times this."""
+        if not self._learns:
+            return replace(base, current_ma=base.current_ma * factor)
+        return replace(base, widths_us=tuple(width * factor for width in base.widths_us))
+
+    def gain(self, demand: Demand) -> float:
+        """Below the band all that is missing is given at once, as far as one stride may."""
+        return 1.0 if demand.usual < 0.0 else self._tuning.gain
+
+    def _holds_back(self, zones: Zones | None, parameters: BurstParameters) -> bool:
+        return zones is not None and zones.means(parameters.widths_us)[1] < HELD_BACK * self._channel.pulse_width_us
+
+    def _held(
+        self, base: BurstParameters, after: BurstParameters, late: Demand, zones: Zones, intensity: float
+    ) -> BurstParameters:
+        """``after`` with the hold that contact needs, whatever the current does meanwhile."""
+        own_us, drive_of_us = self._channel.pulse_width_us, base.current_ma / self._own.current_ma
+        hold_us = zones.means(base.widths_us)[1] * drive_of_us
+        hold_us += own_us * self._most * self.gain(late) * late.step / intensity
+        hold_us *= self._own.current_ma / max(after.current_ma, QUANTUM_MA)
+        hold_us = min(max(hold_us, WEAKEST_HOLD * own_us), own_us)
+        self._middles.append(zones.middle)
+        full = median_low(self._middles)
+        return replace(after, widths_us=(own_us,) * full + (hold_us,) * (len(base.widths_us) - full))
