@@ -10,7 +10,7 @@ import numpy as np
 from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
-from fes.report.stimulation import STILL, STOPPED
+from fes.report.stimulation import STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, number, readable
@@ -22,6 +22,7 @@ FEW_UNEXPLAINED = 0.05  # of the swings: pivots and small steps
 REFUSED_BY_CHOICE: Final = ("not armed", "emergency stop")  # a person had not armed, or had stopped
 _WALKING: Final = "walking_s", "unexplained_s"  # of a foot
 MOST_NAMED: Final = 6
+LEAST_STEP_MA: Final = 0.5
 TOE_SD_CM: Final = 0.6  # of the toe's clearance against optical markers, where the toe is known: docs/accuracy.md
 FIRST = 6  # sentences on the first page; the rest stand further down
 _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
@@ -138,30 +139,45 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
     if not own:
         return
     changes, skipped = [row for row in own if row.changes], sum(row.kind == "skip" for row in own)
-    stimulated = [
-        (row, i.peak_current_ma) for row in summary.strides for i in row.stimulation if i.channel == channel.channel
-    ]
-    went = ""
-    if stimulated and changes:
-        went = f", peak current from {stimulated[0][1]:.1f} to {stimulated[-1][1]:.1f} mA"
-        first, last = (
-            _stride_before(edge.time_s, [row for row, _ in stimulated]) for edge in (changes[0], changes[-1])
+    faults = [row for row in own if row.kind == "fault"]
+    strides = [row for row in summary.strides if any(i.channel == channel.channel for i in row.stimulation)]
+    if changes and strides:
+        first, last = (_stride_before(edge.time_s, strides) for edge in (changes[0], changes[-1]))
+        when = f"between strides {first} and {last}" if last > first else f"at stride {first}"
+        why = changes[0].text.split(": current")[0].split(": pulse width")[0]
+        blamed = "".join(f"; at {row.time_s:.0f} s {_blame(row)}" for row in faults)
+        went = _went(strides, channel.channel)
+        text = f"{channel.name}: {went} {when}: {why}{blamed} ({count_of(len(changes), 'change')}"
+        yield Finding("info", f"{text}, {count_of(skipped, 'stride')} taught it nothing).")
+    else:
+        yield Finding(
+            "info", f"{channel.name}: tuning made no change; {count_of(skipped, 'stride')} taught it nothing."
         )
-        went += f", between strides {first} and {last}" if last > first else f", at stride {first}"
-        went += f" ({changes[0].text.split(': current')[0].split(': pulse width')[0]})"
-    made = count_of(len(changes), "change")
-    text = f"{channel.name}: tuning made {made}{went}; {skipped} strides taught it nothing."
-    yield Finding("info", text)
+    if known := [row for row in own if row.kind == "identified"]:
+        yield Finding("info", f"{channel.name}, {known[-1].text}.")
     stopped = [row for row in own if STOPPED in row.text]
     back = [row for row in own if row.kind == "roll_back" and row not in stopped and STILL not in row.text]
     hints = [row for row in own if row.kind == "hint"]
-    faults = [row for row in own if row.kind == "fault"]
     told = ((faults, "found a fault"), (stopped, "stopped"), (back, "went back"), (hints, "asks for a look"))
     for rows, what in told:
         if rows:
             often = f" {count_of(len(rows), 'time')}, first" if len(rows) > 1 else ""
             text = f"{channel.name}: tuning {what}{often} at {rows[0].time_s:.1f} s: {rows[0].text}."
             yield Finding("warning", text)
+
+
+def _went(strides: Sequence[StrideRow], channel: int) -> str:
+    """What became of the stimulation from the first to the last stride that had it: current, or the charge of a step."""
+    given = [i for row in strides for i in row.stimulation if i.channel == channel]
+    first, last = given[0], given[-1]
+    if abs(last.peak_current_ma - first.peak_current_ma) >= LEAST_STEP_MA:
+        return f"{first.peak_current_ma:.1f} → {last.peak_current_ma:.1f} mA"
+    return f"{first.charge_uc:.0f} → {last.charge_uc:.0f} µC a step"
+
+
+def _blame(fault: TuningRow) -> str:
+    """What most likely happened, without what was done about it."""
+    return fault.text.split("most likely ")[-1].split(";")[0].split(":")[0] + " changed"
 
 
 def _stride_before(time_s: float, rows: Sequence[StrideRow]) -> int:

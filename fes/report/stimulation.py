@@ -30,6 +30,7 @@ STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words i
 STILL: Final = "still going back"
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
     "skip": (" skipped: ",),
+    "identified": ("identified: ",),
     "fault": ("something has changed that stimulation did not",),
     "suggestion": ("suggested: ",),
     "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
@@ -283,7 +284,7 @@ def answers_without_command(commands: CommandColumns, statuses: StatusColumns) -
 
 @dataclass(frozen=True)
 class TuningRow:
-    """One thing the tuning said; ``kind``: change, suggestion, roll_back, fault, frozen, hint, skip."""
+    """One thing the tuning said; ``kind``: change, suggestion, roll_back, fault, frozen, hint, identified, skip."""
 
     time_s: float
     channel: int
