@@ -34,6 +34,7 @@ from statemachine.phases import Transition
 
 ORDER = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
 POINTS = 101
+LOW_HZ = 5.0
 SPECTRUM_HZ = np.linspace(0.25, 25.0, 100)
 
 
@@ -61,6 +62,9 @@ class Seen:
     toe_up_radps: float
     rate_95_hz: float
     acc_95_hz: float
+    off_axis: float
+    contact_jerk_mps3: float
+    acc_below_5_hz: float
 
 
 @dataclass(frozen=True)
@@ -91,9 +95,9 @@ def look(group: str, name: str, track: Track, speed_mps: float) -> tuple[Seen, C
         inside = [c.transition for c in changes if track.t_sensor_ns[a] <= c.t_ns < track.t_sensor_ns[b]]
         good += inside == [ORDER[2], ORDER[3], ORDER[0], ORDER[1]]
     usual = float(np.median(np.diff(middles)))
-    strides = [(a, b) for a, b in pairwise(middles) if abs(b - a - usual) < 0.25 * usual]
-    rate_power, rate_95 = spectrum(toe_up[rows], track.rate_hz)
-    acc_power, acc_95 = spectrum(size[rows], track.rate_hz)
+    cycles = [(a, b) for a, b in pairwise(middles) if abs(b - a - usual) < 0.25 * usual]
+    rate_power, rate_95, _ = spectrum(toe_up[rows], track.rate_hz)
+    acc_power, acc_95, acc_below = spectrum(size[rows], track.rate_hz)
     pre_swing_s, swing_s, loading_s, stance_s = (
         float(np.median(durations[k])) if durations[k] else math.nan for k in (1, 2, 3, 0)
     )
@@ -103,9 +107,9 @@ def look(group: str, name: str, track: Track, speed_mps: float) -> tuple[Seen, C
         float(np.median([s.stride_length_m for s in strides])), float(np.median([s.clearance_m for s in strides])),
         float(size[rows].std()), float(np.percentile(size[rows], 99)), float(np.percentile(size[rows], 99.8)),
         float(toe_up[rows].std()), float(np.percentile(toe_up[rows], 0.5)), float(np.percentile(toe_up[rows], 99.5)),
-        rate_95, acc_95,
+        rate_95, acc_95, off_main_axis(track.gyr_radps[rows]), calibration.contact_jerk_mps3, acc_below,
     )  # fmt: skip
-    return seen, Curves(mean_stride(toe_up, strides), mean_stride(size, strides), rate_power, acc_power)
+    return seen, Curves(mean_stride(toe_up, cycles), mean_stride(size, cycles), rate_power, acc_power)
 
 
 def mean_stride(signal: FloatArray, strides: list[tuple[int, int]]) -> FloatArray:
@@ -117,11 +121,20 @@ def mean_stride(signal: FloatArray, strides: list[tuple[int, int]]) -> FloatArra
     return out
 
 
-def spectrum(signal: FloatArray, rate_hz: float) -> tuple[FloatArray, float]:
-    """Amplitude density at SPECTRUM_HZ (same units per root Hz), and the frequency below which 95 % of the power is."""
+def off_main_axis(gyr_radps: FloatArray) -> float:
+    """Share of the power of rates (N, 3) in rad/s that is not about the axis with the most of it."""
+    rates = gyr_radps - gyr_radps.mean(axis=0)
+    power = np.linalg.eigvalsh(rates.T @ rates)
+    return float(1.0 - power[-1] / power.sum())
+
+
+def spectrum(signal: FloatArray, rate_hz: float) -> tuple[FloatArray, float, float]:
+    """Amplitude density at SPECTRUM_HZ (same units per root Hz), the frequency below which 95 % of the power is, and
+    the share of the power below 5 Hz."""
     frequency, power = welch(signal - signal.mean(), rate_hz, nperseg=min(int(8 * rate_hz), len(signal)))
     share = np.cumsum(power) / power.sum()
-    return np.sqrt(np.interp(SPECTRUM_HZ, frequency, power)), float(np.interp(0.95, share, frequency))
+    below_5_hz = float(power[frequency < LOW_HZ].sum() / power.sum())
+    return np.sqrt(np.interp(SPECTRUM_HZ, frequency, power)), float(np.interp(0.95, share, frequency)), below_5_hz
 
 
 def pairs(folder: Path) -> Iterator[tuple[str, str, Track, float, str]]:
@@ -161,6 +174,9 @@ NAMES = (
     ("rate_sd_radps", "toe-up rate, SD, rad/s", "{:.2f}"), ("toe_down_radps", "fastest toe-down, rad/s", "{:.1f}"),
     ("toe_up_radps", "fastest toe-up, rad/s", "{:.1f}"), ("rate_95_hz", "95 % of the rate's power below, Hz", "{:.1f}"),
     ("acc_95_hz", "95 % of the acceleration's power below, Hz", "{:.1f}"),
+    ("off_axis", "share of the rates' power off the main axis", "{:.3f}"),
+    ("contact_jerk_mps3", "jerk at contact, m/s³", "{:.0f}"),
+    ("acc_below_5_hz", "share of the acceleration's power below 5 Hz", "{:.2f}"),
 )  # fmt: skip
 
 

@@ -49,6 +49,7 @@ def draw_patient(seed: int, number: int, **others: Any) -> PatientSettings:
         "roll_stiffness_nm_per_rad": r.uniform(8.0, 20.0),
         "muscle": _muscle(r, 9.0, 15.0),
         "evertors": _muscle(r, 4.0, 8.0),
+        **draw_movement(Random(f"{seed}/{number}/movement")),
         "placements": {**PLACEMENTS, **{foot: _placement(r, PLACEMENTS[foot]) for foot in FOOT_SENSORS}},
     }
     if number % EVERY_THIRD == 0:
@@ -58,6 +59,17 @@ def draw_patient(seed: int, number: int, **others: Any) -> PatientSettings:
     else:
         drawn["speed_mps"] = round(r.uniform(0.36, 1.3), 3)
     return PatientSettings(**{**drawn, **others})
+
+
+def draw_movement(r: Random) -> dict[str, float]:
+    """What makes two feet's signals differ at the same walk: settings of how foot, shoe and sensor move."""
+    return {
+        "shoe_stiffness": r.uniform(0.6, 1.2),  # a worn or soft sole, a hard one
+        "strap_hz": r.uniform(20.0, 40.0),  # soft tissue of the leg: 10–50 Hz (Wakeling & Nigg 2001)
+        "strap_damping": r.uniform(0.4, 1.0),
+        "toe_break_deg": r.uniform(10.0, 30.0),  # 20–40° barefoot (Isman & Inman 1969), less in a shoe
+        "leg_twist_deg": r.uniform(13.0, 25.0),  # of the tibia in space (Levens et al. 1948)
+    }
 
 
 def _muscle(r: Random, low_nm: float, high_nm: float) -> MuscleSettings:

@@ -50,6 +50,8 @@ _BODY = (
     "spastic", "spasm_nm", "spasm_radps",  # reflex gain; a spasm's torque, and the stretch that sets one off
     "own", "own_rad",  # share of voluntary dorsiflexion
     "side", "inverts", "roll_k",  # +1 left, -1 right; inversion to dorsiflexion torque; stiffness about the roll axis
+    "sole", "strap_radps", "strap_damp",  # stiffness of shoe and heel pad against the usual; the sensor on its strap
+    "oblique", "twists_rad",  # see :func:`fes.simulation.forward.integration.sideways`
     "slip", "trip_ns",  # friction coefficient; drag impulse at which the foot is caught, N·s
 )  # fmt: skip
 # --- set anew at each event of the stride ---------------------------------------------------------------
@@ -58,6 +60,7 @@ _PLAN = (
     "phase0", "phase_t", "phase_rate",  # place in the gait cycle
     "stand_x",  # where the ankle stands, belt frame
     "load_t", "load_s", "unload_t", "unload_s", "load_share",  # weight goes on, and off
+    "land_rad",  # pitch at contact
     "rise_t", "rise_s", "rise_rad",  # the heel's rise to foot off
     "swing_t", "swing_s", "lift_m", "hike_m", "fall_m", "early_m", "reach_m", "circle_m", "swerve_rad", "turn_rad",
     "shift_m",
@@ -67,7 +70,7 @@ _PLAN = (
 # --- what evolves ---------------------------------------------------------------------------------------
 _STATE = (
     "x", "vx", "ax", "z", "vz", "az", "pitch", "vpitch", "apitch", "roll", "vroll", "aroll", "toe_bend",
-    "y", "vy", "ay", "yaw", "vyaw", "ayaw", "shank", "vshank", "ashank",
+    "y", "vy", "ay", "yaw", "vyaw", "ayaw", "twist", "vtwist", "atwist", "shank", "vshank", "ashank",
     "xp", "vxp", "axp", "zp", "vzp", "azp", "nominal", "vnominal", "bend",
     "heel_at", "ball_at", "toe_at", "heel_n", "ball_n", "toe_n", "drag_n",  # bristle anchors (NaN: off the ground)
     "hold", "flat_t", "own_act", "stretch1", "stretch2", "spasm", "spasm_most",
@@ -233,6 +236,7 @@ GRAVITY = 9.80665
 BEND_RAD = math.radians(45.0)  # how far a shod forefoot bends at the toes' joints before it rolls over the toe's tip
 HOLD_NM_PER_RAD = 320.0  # quasi-stiffness of the loaded ankle, about 5 N·m a degree
 HOLD_NMS_PER_RAD = 6.0
+LOWER_NM_PER_RAD, LOWER_NMS_PER_RAD = 120.0, 6.0  # of dorsiflexors that let the foot down
 SPASM_RISES_S, SPASM_LASTS_S = 0.03, 0.25
 RELEASED = 0.08  # share of its stiffness that the calf has left where the foot leaves the ground
 FALL_MPS = 0.5  # how fast a foot goes on down that has not met the ground when it should
@@ -406,8 +410,16 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
     # voluntary dorsiflexors hold the normal angle, from just before foot off until the foot lies flat
     wanted = 1.0 if leg.mode == SWING or (leg.mode == STANCE and leg.flat == 0) else 0.0
     leg.own_act += (wanted - leg.own_act) * dt / 0.04
-    needed = leg.foot_kg * GRAVITY * leg.com_x - passive(leg.nominal, leg.bend, leg.stiff, leg.short_rad)
-    needed += 30.0 * (leg.nominal - angle) + 0.9 * (leg.vnominal - rate)
+    needed = leg.foot_kg * GRAVITY * leg.com_x
+    if leg.mode == STANCE and leg.flat == 0 and leg.land_rad > 0.0:
+        # the heel rocker: stretched, they let the foot down until it lies flat as the leg takes the weight
+        left = max(1.0 - (t - leg.load_t) / leg.load_s, 0.0)
+        needed -= out + left * weight * (leg.heel_x + HEEL_M)
+        needed += LOWER_NM_PER_RAD * (leg.land_rad * left * left - leg.pitch)
+        needed -= LOWER_NMS_PER_RAD * (2.0 * leg.land_rad * left / leg.load_s + leg.vpitch)
+    else:
+        needed -= passive(leg.nominal, leg.bend, leg.stiff, leg.short_rad)
+        needed += 30.0 * (leg.nominal - angle) + 0.9 * (leg.vnominal - rate)
     out += leg.own * leg.own_act * min(max(needed, 0.0), 28.0)
     out += leg.torque
     # the calf of a standing leg: it carries the weight where the plan wants it, and lifts the heel
@@ -415,7 +427,7 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
     if leg.mode == SWING:
         leg.hold -= leg.hold * dt / 0.015
     else:
-        if leg.flat:
+        if leg.flat or leg.ball_n > 0.0:
             leg.hold += (1.0 - leg.hold) * dt / 0.03
         psi, psi1, _ = heel_rise(leg, t)
         # as the other leg takes the weight the calf lets go: late in push-off little is left to oppose it
@@ -469,10 +481,10 @@ def step(leg: Record, belt: Record, t: float, dt: float) -> None:
     w = leg.vpitch
     rolled = leg.x + hx + HEEL_M * leg.pitch
     fx, fz, leg.heel_at = touch(
-        leg.heel_at, rolled, leg.z + hz, leg.vx - w * hz, leg.vz + w * hx, HEEL_N_PER_M15, leg.slip
+        leg.heel_at, rolled, leg.z + hz, leg.vx - w * hz, leg.vz + w * hx, leg.sole * HEEL_N_PER_M15, leg.slip
     )
     gx, gz, leg.ball_at = touch(
-        leg.ball_at, leg.x + bx, leg.z + bz, leg.vx - w * bz, leg.vz + w * bx, BALL_N_PER_M15, leg.slip
+        leg.ball_at, leg.x + bx, leg.z + bz, leg.vx - w * bz, leg.vz + w * bx, leg.sole * BALL_N_PER_M15, leg.slip
     )
     px, pz = 0.0, 0.0
     if leg.mode != STANCE:

@@ -19,6 +19,7 @@ from fes.simulation.forward.dynamics import (
     STUMBLE,
     SWING,
     bump,
+    heel_rise,
     muscle,
     plan,
     recruitment,
@@ -33,26 +34,43 @@ FOREFOOT_FROM = 0.92  # … and the forefoot: before that it drags
 LIFTED_S = 0.15  # a burst may lift the foot so long before it would push off by itself
 BELT_RADPS = 2.5  # the belt reaches a new speed in about two seconds
 ROLL_AIR_RADPS, ROLL_GROUND_RADPS = 22.0, 45.0
+TWIST_AIR_RADPS, TWIST_GROUND_RADPS = 16.0, 30.0
+OUT_AT_FOOT_OFF, OUT_AT_CONTACT = 0.6, 0.3  # of the leg's greatest outward turn
+OUT_UNTIL = 0.45  # share of the swing from which the leg turns back
 HANGS_FROM_RAD, HANGS_RAD = math.radians(2.0), math.radians(16.0)  # plantarflexion in which a foot begins to invert
 
 
 @inlined
 def sideways(leg: Record, t: float, dt: float) -> None:
-    """Lateral path, heading and roll: what the sagittal plane leaves out, without dynamics except for the roll."""
+    """Lateral path, heading and roll: what the sagittal plane leaves out, without dynamics but for roll and twist.
+
+    The leg turns about its long axis, outward as the heel rises until early swing, then back until the foot lies flat
+    (Levens, Inman & Blosser, *J Bone Joint Surg* 30-A, 1948). The heel rises about the oblique line through the joints
+    of the toes, which inverts the foot (Isman & Inman, *Bull Prosthet Res* 10-11, 1969).
+    """
     u, w = (t - leg.swing_t) / leg.swing_s, 1.0 / leg.swing_s
     b, b1, b2 = bump(u)
     q, q1, q2 = smooth(u)
     leg.y = leg.across_m + leg.circle_m * b + leg.shift_m * q
     leg.vy = (leg.circle_m * b1 + leg.shift_m * q1) * w
     leg.ay = (leg.circle_m * b2 + leg.shift_m * q2) * w * w
-    leg.yaw = leg.yaw_rad + leg.swerve_rad * b + leg.turn_rad * q
-    leg.vyaw = (leg.swerve_rad * b1 + leg.turn_rad * q1) * w
-    leg.ayaw = (leg.swerve_rad * b2 + leg.turn_rad * q2) * w * w
+    psi, _, _ = heel_rise(leg, t)
+    twists, pace = 0.0, TWIST_GROUND_RADPS
+    if leg.mode == PRE_SWING:
+        twists = OUT_AT_FOOT_OFF * leg.twists_rad * psi / leg.rise_rad
+    elif leg.mode == SWING:
+        twists, pace = leg.twists_rad * (1.0 if u < OUT_UNTIL else OUT_AT_CONTACT), TWIST_AIR_RADPS
+    leg.atwist = pace * pace * (leg.side * twists - leg.twist) - 2.0 * pace * leg.vtwist
+    leg.vtwist += leg.atwist * dt
+    leg.twist += leg.vtwist * dt
+    leg.yaw = leg.yaw_rad + leg.swerve_rad * b + leg.turn_rad * q + leg.twist
+    leg.vyaw = (leg.swerve_rad * b1 + leg.turn_rad * q1) * w + leg.vtwist
+    leg.ayaw = (leg.swerve_rad * b2 + leg.turn_rad * q2) * w * w + leg.atwist
     stiff = ROLL_AIR_RADPS if leg.mode == SWING else ROLL_GROUND_RADPS
     # a foot that hangs inverts, for the ankle's axis is oblique; tibialis anterior inverts, the peronei evert
     hangs = min(max((leg.shank - leg.pitch - HANGS_FROM_RAD) / HANGS_RAD, 0.0), 1.0) if leg.mode == SWING else 0.0
     inverting = leg.inverts * leg.torque - leg.everting
-    goal = leg.roll_goal - leg.side * (leg.hang_rad * hangs)
+    goal = leg.roll_goal - leg.side * (leg.hang_rad * hangs + leg.oblique * psi)
     leg.aroll = stiff * stiff * (goal - leg.roll) - 2.0 * stiff * leg.vroll
     leg.aroll -= leg.side * inverting * ROLL_AIR_RADPS * ROLL_AIR_RADPS / leg.roll_k
     leg.vroll += leg.aroll * dt
@@ -111,6 +129,18 @@ def feel(out: Vec, leg: Record, belt_a: float, tilt: float, turn: float, turn1: 
 
 
 @jit
+def strapped(strap: Mat, values: Vec, radps: float, damping: float, dt: float) -> None:
+    """The force (m/s²) that a sensor feels on a strap that gives way as a damped spring; in place.
+
+    ``strap`` (3, 2): how far, and how fast, it has moved against the segment along each axis.
+    """
+    for k in range(3):
+        strap[k, 1] -= (radps * (radps * strap[k, 0] + 2.0 * damping * strap[k, 1]) + values[k]) * dt
+        strap[k, 0] += strap[k, 1] * dt
+        values[k] = -radps * (radps * strap[k, 0] + 2.0 * damping * strap[k, 1])
+
+
+@jit
 def low_pass(filter_: Mat, values: Mat, b0: float, a1: float, a2: float) -> None:
     """A second-order Butterworth step (transposed direct form) on 6 values, in place; ``filter_`` (6, 2) its memory."""
     for k in range(6):
@@ -124,7 +154,7 @@ def low_pass(filter_: Mat, values: Mat, b0: float, a1: float, a2: float) -> None
 @jit
 def run(
     legs: Vec, belts: Vec, begin: int, end: int, dt: float, pulse_step: Vec, pulse_uc: Vec, pulse_of: Vec,
-    muscles: Vec, affected: int, places: Mat, filters: Mat, taps: Vec, values: Mat, every: int, samples: Mat,
+    muscles: Vec, affected: int, places: Mat, straps: Mat, filters: Mat, taps: Vec, values: Mat, every: int, samples: Mat,
     trace_every: int, trace: Mat,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Advance from step ``begin`` to ``end`` at most; returns the step reached, the leg and what happened to it.
@@ -135,7 +165,8 @@ def run(
             which muscle.
         muscles: (2,) records of the affected leg.
         affected: the leg that is stimulated.
-        places: (4, 3) sensors from the ankle, in SENSORS' order; filters (4, 6, 2), taps (3,) their low-pass.
+        places: (4, 3) sensors from the ankle, in SENSORS' order; straps (4, 3, 2), see :func:`strapped`.
+        filters: (4, 6, 2) memory of their low-pass, taps (3,).
         values: (4, 6) the sensors' newest values.
         every, samples: a row (4, 6) of ``samples`` each so many steps, row 0 belonging to the first after ``begin``.
         trace_every, trace: likewise (2, 14) per row.
@@ -170,9 +201,11 @@ def run(
             foot, shank = values[side], values[2 + side]
             a = places[side]
             feel(foot, leg, belt.a, leg.pitch, leg.vpitch, leg.apitch, a[0], a[1], a[2], 1.0)
+            strapped(straps[side], foot, leg.strap_radps, leg.strap_damp, dt)
             low_pass(filters[side], foot, taps[0], taps[1], taps[2])
             a = places[2 + side]
             feel(shank, leg, belt.a, leg.shank, leg.vshank, leg.ashank, a[0], a[1], a[2], 0.0)
+            strapped(straps[2 + side], shank, leg.strap_radps, leg.strap_damp, dt)
             low_pass(filters[2 + side], shank, taps[0], taps[1], taps[2])
         done = number + 1
         if done % every == 0:

@@ -32,8 +32,9 @@ STILL_S = 0.6  # from the last step's landing until the shank rests
 _STANCES = np.linspace(0.02, 0.5, 481)  # phases at which a foot lies flat
 STANDING_PHASE = 0.30  # of the cycle, whose joint angles a standing leg has
 LOADING_S = 0.11
-PRE_SWING_SHARE = 0.21  # of the cycle, from heel off to foot off
-LANDING_MPS = -0.38  # the ankle's vertical speed at contact, at the least
+SLOWED = 0.5  # share of its speed at contact with which the leg itself goes on at first
+PRE_SWING_SHARE = 0.17  # of the cycle, from heel off to foot off
+LANDING_MPS = -0.25  # the ankle's vertical speed at contact, at the least
 CLEARANCE_M = 0.017  # mean least toe clearance of healthy walkers (Winter, *Phys Ther* 72, 1992: 1.3 cm)
 HALF_WIDTH_M = 0.08
 TO_PLAN = 0.55  # share of the swing until the foot is on its planned path, where it begins on it
@@ -89,6 +90,9 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
         "short_rad": 0.12 * weak, "stiff": 1.0 + 0.9 * weak, "damp": 0.50 + 0.25 * weak,
         "spastic": 5.0 * weak, "spasm_nm": 12.0 * weak, "spasm_radps": settings.spasm_radps, "own": own,
         "inverts": settings.inversion_share, "roll_k": settings.roll_stiffness_nm_per_rad,
+        "sole": settings.shoe_stiffness, "strap_radps": 2.0 * math.pi * settings.strap_hz,
+        "strap_damp": settings.strap_damping, "oblique": math.sin(math.radians(settings.toe_break_deg)),
+        "twists_rad": math.radians(settings.leg_twist_deg),
         "slip": 0.8, "trip_ns": 1.1,
         "mode": STANCE, "flat": 1, "due_s": math.inf, "phase0": STANDING_PHASE, "load_share": 0.5, "load_t": math.inf,
         "load_s": 1.0, "unload_t": math.inf, "unload_s": 1.0, "rise_t": math.inf, "rise_s": 1.0, "swing_t": -10.0,
@@ -154,12 +158,14 @@ class Planner:
         leg["mode"], leg["flat"], leg["stand_x"] = STANCE, 0, stand_x
         leg["due_s"], leg["rise_t"] = next_rise_s, next_rise_s
         leg["load_t"], leg["load_s"], leg["load_share"] = t_s, max(0.9 * support_s, 0.08), 0.0
+        leg["land_rad"] = leg["pitch"]
         leg["unload_s"] = support_s
         leg["unload_t"] = next_off_s - support_s
         leg["hold"] = 0.0
-        # the ground, not the plan, stops the landing foot: the plan stands still from now on
+        # the ground stops the landing foot, and the person helps
         self._phase(t_s, 0.0, normative.TOE_OFF_SHARE / max(next_off_s - t_s, 0.1))
-        still = (float(leg["x"]) - stand_x, 0.0, 0.0), (float(leg["z"]) - h, 0.0, 0.0)
+        slow = [SLOWED * float(leg[name]) for name in ("vx", "vz")]
+        still = (float(leg["x"]) - stand_x, slow[0], 0.0), (float(leg["z"]) - h, slow[1], 0.0)
         self._fade(t_s, LOADING_S, still, before[2])
 
     def stand(self, t_s: float) -> None:
@@ -193,7 +199,7 @@ class Planner:
         span = swing.end_s - t_s
         leg["mode"], leg["flat"], leg["due_s"] = SWING, 0, math.inf
         leg["swing_t"], leg["swing_s"] = t_s, span
-        leg["across_m"], leg["yaw_rad"] = leg["y"], leg["yaw"]
+        leg["across_m"], leg["yaw_rad"] = leg["y"], leg["yaw"] - leg["twist"]
         leg["reach_m"], leg["circle_m"], leg["shift_m"] = swing.reach_m, self.sign * swing.circle_m, swing.shift_m
         leg["swerve_rad"], leg["turn_rad"] = self.sign * swing.swerve_rad, swing.turn_rad
         leg["drag_s"] = leg["drag_ns"] = leg["tripped"] = 0.0

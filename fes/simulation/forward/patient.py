@@ -153,6 +153,7 @@ class VirtualPatient:
         self._places = np.array([bodies.get(name, (0.0, 0.0, 0.0)) for name in SENSORS])
         self._places[[name in FOOT_SENSORS and name in bodies for name in SENSORS], 2] -= self.sole_m
         self._taps = butterworth(settings.imu, settings.rate_hz)
+        self._straps = np.zeros((4, 3, 2))
         self._filters = np.zeros((4, 6, 2))
         self._values = np.zeros((4, 6))
         self._pulse_step = np.zeros(0, np.int64)
@@ -323,7 +324,7 @@ class VirtualPatient:
         trace = np.empty((stop // TRACE_EVERY - begin // TRACE_EVERY, 2, len(TRACE)))
         self._step, side, what = run(
             walker.legs, walker.belt, begin, stop, STEP_NS / NS_PER_S, self._pulse_step, self._pulse_uc,
-            self._pulse_of, walker.muscles, walker.affected, self._places, self._filters, self._taps, self._values,
+            self._pulse_of, walker.muscles, walker.affected, self._places, self._straps, self._filters, self._taps, self._values,
             self._every, samples, TRACE_EVERY, trace,
         )  # fmt: skip
         if self._step <= 0:
