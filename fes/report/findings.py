@@ -167,7 +167,7 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
 
 
 def _went(strides: Sequence[StrideRow], channel: int) -> str:
-    """What became of the stimulation from the first to the last stride that had it: current, or the charge of a step."""
+    """What became of the stimulation from the first to the last stride that had it: current, else a step's charge."""
     given = [i for row in strides for i in row.stimulation if i.channel == channel]
     first, last = given[0], given[-1]
     if abs(last.peak_current_ma - first.peak_current_ma) >= LEAST_STEP_MA:
