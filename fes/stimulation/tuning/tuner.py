@@ -96,6 +96,9 @@ OUTLIER_SDS: Final = 6.0
 UNEVEN: Final = 2  # strides in a row on a stair or slope: what was learnt on even ground is put away
 CONTRARY_SDS: Final = 2.0  # that far below nothing is the slope of a foot that more stimulation makes worse
 CLIMBED: Final = 0.08  # of the bound: less has not been tried
+EXCITATION: Final = 0.02  # of the bound, 0.5 to 1 mA: too little to be felt as a change
+STILL: Final = 4  # strides without a change, before one is made for the sake of knowing
+UNKNOWN: Final = 0.5  # of a slope's value is its standard deviation
 TOLD_EVERY: Final = 10  # strides, what was identified
 
 
@@ -139,6 +142,8 @@ class Tuner:
         self._climb: tuple[BurstParameters, float] | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
         self._settle = 0
+        self._still = 0  # strides since the last change
+        self._excited = 1.0  # which way the next excitation goes
         self._unreached = 0
         self._uneven = 0
         self._odd = 0.0
@@ -361,7 +366,7 @@ class Tuner:
         self, t_ns: int, stride: StrideResult, reading: Reading, demands: tuple[Demand, ...], zones: Zones | None,
         intensity: float, known: float | None,
     ) -> TuningReport | None:  # fmt: skip
-        before = self.parameters
+        before, asks_to_know = self.parameters, ""
         worst = self._shape.leader(demands, zones, before)
         error = 0.0 if self._spared and worst.error < 0.0 else worst.error
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
@@ -383,6 +388,9 @@ class Tuner:
             wanted = self._shape.scaled(wanted, known / self.drive)
         elif error:
             wanted = self._answered(wanted, stride, demands, zones, intensity)
+        elif asks_to_know := self._worth_knowing(demands):
+            wanted = self._shape.scaled(wanted, 1.0 + self._excited * EXCITATION / max(demands[0].drive, EXCITATION))
+            self._excited = -self._excited
         after = limited(before, wanted, self.tuning)
         if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
@@ -390,12 +398,24 @@ class Tuner:
             why = self._timing.reason(after.extension_s)
             if known is not None:
                 why = f"at {stride.speed_mps:.1f} m/s this was right before"
+            elif asks_to_know:
+                why = asks_to_know
             elif error:
                 why = reason(replace(worst, error=error), stand_in=reading.stand_in)
                 why += self._shape.why_held(before, after, demands, worst)
             return self._propose(t_ns, after, f"{why}: {changes}")
         self.pending = None
         return self._hint_if_unreached(t_ns, reading) or self._identified(t_ns)
+
+    def _worth_knowing(self, demands: tuple[Demand, ...]) -> str:
+        """Why a step too small to be felt is made though nothing is missing; "" for none."""
+        self._still += 1
+        name = demands[0].measure.name
+        slope = self.model.slope(name)
+        if self._still <= STILL or self._spared or slope.sd <= UNKNOWN * abs(slope.value):
+            return ""
+        self._still = 0
+        return f"how {name} answers is not known well, a small step tells more"
 
     def _answered(
         self, wanted: BurstParameters, stride: StrideResult, demands: tuple[Demand, ...], zones: Zones | None,
@@ -419,7 +439,7 @@ class Tuner:
             self.pending = after
             return TuningReport(t_ns, self.channel.number, "suggestion", f"suggested: {text}", before, after)
         if drive_of(after, before) != 1.0:
-            self._settle = 1
+            self._settle, self._still = 1, 0
         if drive_of(after, before) < 1.0 or self._climb is None:
             self._climb = (after if drive_of(after, before) < 1.0 else before, 0.0)
         self.parameters = after
