@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -31,9 +31,14 @@ from scipy.stats import fisher_exact
 from tuning_cohort import BAND_MM, MOST_MA, PITCH_DEG, WIDTH_US, channel_of, clinic_ma, patient, session_with
 
 from fes.config import Channel, FootGeometry, Session
+from fes.control.controller import Controller
 from fes.signals import NS_PER_S, ImuSample
 from fes.simulation.forward import PatientSettings, VirtualPatient, harm_of
 from fes.simulation.forward.gait_patterns import PATTERNS
+from fes.stimulation.tuning.faults import FaultWatch
+from fes.stimulation.tuning.memory import SpeedMemory
+from fes.stimulation.tuning.response import SLOPE, ResponseModel
+from fes.stimulation.tuning.targets import Reading
 
 STRIDES, SECONDS, LAST = 45, 300.0, 20
 EVERYBODY_MA, LOW_START_MA = 30.0, 10.0
@@ -47,6 +52,7 @@ ROLL_DEG = 5.0  # at contact, either way
 SETTLED = 3  # strides: from the fourth stimulated one on the roll counts
 MEASURED_HIGHER_MM = 6.0  # for three of four patients at most (--measured): the target allows for it
 REACHED = 4  # of 5 strides in a row in the band
+WITHIN = 6  # strides, in the band by then
 SOON = 5  # strides after a fault
 SAME_CONTACT_NS = 200_000_000
 FAULT_STRIDE = 18
@@ -144,33 +150,35 @@ SCENARIOS = {
 }  # fmt: skip
 
 
-def tuning_of(method: str, rate_ma: float = 2.0) -> dict[str, Any]:
+def tuning_of(method: str, rate_ma: float = 2.0, part: str = "") -> dict[str, Any]:
     """The tuned channel's settings: charges of 3–15 µC a pulse, and ``rate_ma`` a stride, as current or as width."""
     low, high = (1e-3 * (edge + MEASURED_HIGHER_MM) for edge in BAND_MM)
     return {
-        "mode": "act", "method": method.replace("-", "_"), "timing": True,
+        "mode": "act", "method": method.replace("-", "_"), "timing": part != "timing",
         "toe_clearance_m": {"low": low, "high": high},
         "pitch_at_contact_deg": {"low": PITCH_DEG[0], "high": PITCH_DEG[1]},
         "max_change_ma": rate_ma, "max_change_us": max(round(rate_ma * WIDTH_US / MOST_MA), 20),
         "bounds": {
             "current_ma": {"low": 10.0, "high": MOST_MA},
-            "pulse_width_us": {"low": 0.2 * WIDTH_US, "high": WIDTH_US},
+            "pulse_width_us": {"low": (1.0 if part == "hold" else 0.2) * WIDTH_US, "high": WIDTH_US},
             "start_delay_s": {"low": 0.0, "high": 0.4}, "extension_s": {"low": -0.1, "high": 0.1},
         },
     }  # fmt: skip
 
 
-def session_of(geometry: FootGeometry, method: str, current_ma: float = EVERYBODY_MA, rate_ma: float = 2.0) -> Session:
-    """A method's session at this current."""
+def session_of(
+    geometry: FootGeometry, method: str, current_ma: float = EVERYBODY_MA, rate_ma: float = 2.0, part: str = ""
+) -> Session:
+    """A method's session at this current; ``part``: what of the tuning it is not to have."""
     if method == "none":
         return session_with(geometry)
     if method == "fixed":
         return session_with(geometry, channel_of(current_ma, extension_s=0.0))
     if method in ("learning", "two"):  # the same charge at the greatest current, so that widths have the same range
         width_us = round(WIDTH_US * current_ma / MOST_MA)
-        lifts = channel_of(MOST_MA, width_us, tuning=tuning_of("learning", rate_ma))
+        lifts = channel_of(MOST_MA, width_us, tuning=tuning_of("learning", rate_ma, part))
         return session_with(geometry, lifts, *([evertors_of(rate_ma)] if method == "two" else []))
-    return session_with(geometry, channel_of(current_ma, tuning=tuning_of(method, rate_ma)))
+    return session_with(geometry, channel_of(current_ma, tuning=tuning_of(method, rate_ma, part)))
 
 
 def evertors_of(rate_ma: float) -> Channel:
@@ -183,6 +191,53 @@ def evertors_of(rate_ma: float) -> Channel:
     return channel.model_copy(update={"name": "Peronei, right", "muscle": "peronei", "number": EVERTORS})
 
 
+# --- parts taken away ------------------------------------------------------------------------------------------
+
+
+class BelievedModel(ResponseModel):
+    """Knows what everybody's foot does on the whole, and follows only the level: no threshold, no slope of its own."""
+
+    def add(self, reading: Reading, drives: Mapping[str, float]) -> None:
+        super().add(reading, drives)
+        self._weights[:] = 1.0 / len(self._weights)
+        for lines in self._lines.values():
+            lines.mean[:, 1] = SLOPE
+            lines.cov[:, 1, :] = lines.cov[:, :, 1] = 0.0
+
+
+class NoFaults(FaultWatch):
+    """Finds nothing."""
+
+    def stride(self, reading: Reading, drives: Mapping[str, float], model: ResponseModel) -> str:
+        return ""
+
+
+class NoMemory(SpeedMemory):
+    """Remembers nothing."""
+
+    def known(self) -> float | None:
+        return None
+
+
+def without(part: str, controller: Controller) -> None:
+    """Take a part of the tuning away before the walk begins."""
+    for tuner in controller.tuning.tuners.values():
+        if part == "identification":
+            tuner.model = BelievedModel()
+        elif part == "faults":
+            tuner.faults = NoFaults()
+        elif part == "speeds":
+            tuner.memory = NoMemory()
+        elif part == "samples":
+            tuner.geometry = None
+        elif part == "excitation":
+            tuner.still = -(10**9)
+
+
+BY_SETTINGS = ("timing", "hold")  # taken away in the session
+PARTS = ("identification", "samples", "faults", "speeds", "excitation", *BY_SETTINGS)
+
+
 # --- what came of it ------------------------------------------------------------------------------------------
 
 
@@ -191,8 +246,8 @@ class Result:
     """Of one walk; strides from the first that could have stimulation. ``converged``: strides until the band."""
 
     inside: list[bool]
-    stumbles: int
-    drags: int
+    stumbles: list[bool]
+    drags: list[bool]
     charge_uc: float
     heel_first: float
     converged: int | None
@@ -266,8 +321,8 @@ def judge(done: Walk, session: Session, faults_ns: Sequence[int] = ()) -> Result
     false = [report for report in named if not any(0 < report.t_ns - at < 20 * NS_PER_S for at in faults_ns)]
     return Result(
         inside,
-        sum(one.stumbled for one in strides),
-        sum(one.dragged for one in strides),
+        [one.stumbled for one in strides],
+        [one.dragged for one in strides],
         sum(one.charge_uc for one in strides) / max(len(strides), 1),
         fmean(57.2958 * one.pitch_at_contact_rad >= PITCH_DEG[0] for one in strides) if strides else 0.0,
         next((n for n in range(len(inside) - 4) if sum(inside[n : n + 5]) >= REACHED), None),
@@ -286,12 +341,13 @@ def judge(done: Walk, session: Session, faults_ns: Sequence[int] = ()) -> Result
 
 
 def one_walk(
-    settings: PatientSettings, calibration: Any, scenario: Scenario, method: str, clinic: float, rate_ma: float
-) -> Result:
-    """One patient, one method, one scenario."""
+    settings: PatientSettings, calibration: Any, scenario: Scenario, method: str, clinic: float, rate_ma: float,
+    part: str = "",
+) -> Result:  # fmt: skip
+    """One patient, one method, one scenario; ``part``: what of the tuning is taken away."""
     geometry = VirtualPatient(settings).geometry["right_foot"]
     told = geometry.model_copy(update={"toe_forward_m": geometry.toe_forward_m + scenario.geometry_m})
-    session = session_of(told, method, LOW_START_MA if scenario.from_low and method in TUNED else clinic, rate_ma)
+    session = session_of(told, method, LOW_START_MA if scenario.from_low and method in TUNED else clinic, rate_ma, part)
     if method == "two":
         settings = replace(settings, evertor_channel=EVERTORS)
     event, chance = Event(scenario.acts), Random(settings.seed)
@@ -318,7 +374,8 @@ def one_walk(
         return t_ns > 30 * NS_PER_S
 
     lost = (lambda _: chance.random() < scenario.dropouts) if scenario.dropouts else None
-    done = walk(settings, session, calibration, seconds, scenario.strides, during, lost, turned)
+    prepare = partial(without, part)
+    done = walk(settings, session, calibration, seconds, scenario.strides, during, lost, turned, prepare)
     return judge(done, session, event.times_ns if scenario.fault else ())
 
 
@@ -329,11 +386,18 @@ def prepared(seed: int, who: Callable[[PatientSettings], PatientSettings]) -> tu
     return settings, calibration, clinic_ma(settings, VirtualPatient(settings).geometry["right_foot"], calibration)
 
 
-def one_patient(seed: int, name: str, methods: Sequence[str], rate_ma: float) -> dict[str, Result]:
-    """A patient of the cohort walks one scenario with each method."""
+def one_patient(
+    seed: int, name: str, methods: Sequence[str], rate_ma: float, parts: Sequence[str]
+) -> dict[str, Result]:
+    """A patient of the cohort walks one scenario with each method, and with tuned ones without each of ``parts``."""
     scenario = SCENARIOS[name]
     settings, calibration, clinic = prepared(seed, scenario.who)
-    return {method: one_walk(settings, calibration, scenario, method, clinic, rate_ma) for method in methods}
+    found = {}
+    for method in methods:
+        for part in ("", *(parts if method in TUNED else ())):
+            label = f"{method} without {part}" if part else method
+            found[label] = one_walk(settings, calibration, scenario, method, clinic, rate_ma, part)
+    return found
 
 
 def worse(tuned: Result, fixed: Result) -> bool:
@@ -342,12 +406,23 @@ def worse(tuned: Result, fixed: Result) -> bool:
     return bool(fisher_exact([[a, n - a] for a, n in counts], alternative="less").pvalue < 0.05)
 
 
+def named(label: str) -> str:
+    """A method, and what it is without."""
+    method, _, part = label.partition(" without ")
+    return f"{METHODS[method]}, without {part}" if part else METHODS[method]
+
+
 HEAD = (
-    "| scenario | method | µC a step | in the band | after stride 10 | stumbles | drags | T5 | in the band within 6 "
+    "| scenario | method | µC a step | in the band | after stride 10 | stumbles (from stride 6 on) | drags (from stride 6 on) | T5 | in the band within 6 "
     "strides | self-stops | over a bound | latched | worse than fixed | named falsely per 1,000 | landed within 5° of "
     "level | push-off lost |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
+
+
+def counted(strides: Sequence[Sequence[bool]]) -> str:
+    """How many in all, and from the stride on by which a tuned walk is to be in the band."""
+    return f"{sum(map(sum, strides))} ({sum(sum(each[WITHIN:]) for each in strides)})"
 
 
 def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
@@ -356,17 +431,17 @@ def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
     for method in every[0]:
         mine = [one[method] for one in every]
         strides = sum(len(one.inside) for one in mine)
-        tuned = method in TUNED
+        tuned = method.split(" without ")[0] in TUNED
         cells = [
             SCENARIOS[name].text,
-            METHODS[method],
+            named(method),
             f"{median(one.charge_uc for one in mine):.0f}",
             f"{sum(sum(one.inside) for one in mine) / max(strides, 1):.1%}",
             f"{sum(sum(one.inside[10:]) for one in mine) / max(sum(len(one.inside[10:]) for one in mine), 1):.1%}",
-            str(sum(one.stumbles for one in mine)),
-            str(sum(one.drags for one in mine)),
+            counted([one.stumbles for one in mine]),
+            counted([one.drags for one in mine]),
             str(sum(one.put_back for one in mine)),
-            f"{sum(one.converged is not None and one.converged <= 6 for one in mine)} of {people}",
+            f"{sum(one.converged is not None and one.converged <= WITHIN for one in mine)} of {people}",
             str(sum(one.self_stopped for one in mine)) if tuned else "",
             str(sum(bool(one.over) for one in mine)),
             str(sum(bool(one.latched) for one in mine)),
@@ -387,7 +462,7 @@ def fault_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
         mine = [one[method] for one in every]
         named = sum(one.named_after is not None and one.named_after <= SOON for one in mine)
         lines.append(
-            f"- {SCENARIOS[name].text}, {METHODS[method]}: at most 3 low strides in "
+            f"- {SCENARIOS[name].text}, {named(method)}: at most 3 low strides in "
             f"{sum(one.low_after <= 3 for one in mine)} of {people} "
             f"(mean {fmean(one.low_after for one in mine):.1f}); lowered within five strides in "
             f"{sum(one.lowered_after for one in mine)}; named within five strides in {named}"
@@ -418,6 +493,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=12000)
     parser.add_argument("--scenarios", nargs="+", default=["day", "low"], choices=[*SCENARIOS, "all"])
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    parser.add_argument("--without", nargs="+", default=[], choices=PARTS, help="tuned walks also without these")
     parser.add_argument("--rate-ma", type=float, default=5.0, help="most that the session lets one stride change")
     parser.add_argument("--processes", type=int, default=1, help="at once")
     parser.add_argument("--each", action="store_true", help="a line a patient")
@@ -434,7 +510,7 @@ def main() -> None:
     names = list(SCENARIOS) if "all" in asked.scenarios else asked.scenarios
     walked: dict[str, list[dict[str, Result]]] = {name: [] for name in names}
     with ProcessPoolExecutor(asked.processes) as pool:
-        task = partial(all_scenarios, names=names, methods=asked.methods, rate_ma=asked.rate_ma)
+        task = partial(all_scenarios, names=names, methods=asked.methods, rate_ma=asked.rate_ma, parts=asked.without)
         for seed, found in zip(seeds, pool.map(task, seeds), strict=True):
             for name, one in found.items():
                 walked[name].append(one)
@@ -454,16 +530,18 @@ def main() -> None:
         asked.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
 
 
-def all_scenarios(seed: int, names: Sequence[str], methods: Sequence[str], rate_ma: float) -> dict[str, Any]:
+def all_scenarios(
+    seed: int, names: Sequence[str], methods: Sequence[str], rate_ma: float, parts: Sequence[str]
+) -> dict[str, Any]:
     """One patient's walks, by scenario and method."""
-    return {name: one_patient(seed, name, methods, rate_ma) for name in names}
+    return {name: one_patient(seed, name, methods, rate_ma, parts) for name in names}
 
 
 def said(one: Result) -> str:
     """One walk in a few numbers."""
     flags = f"{' STOPPED' if one.self_stopped else ''}{f' LATCHED {one.latched}' if one.latched else ''}"
     return (
-        f"{fmean(one.inside):.2f} c{one.converged} s{one.stumbles} d{one.drags} t{one.put_back} {one.charge_uc:.0f} µC "
+        f"{fmean(one.inside):.2f} c{one.converged} s{sum(one.stumbles)} d{sum(one.drags)} t{one.put_back} {one.charge_uc:.0f} µC "
         f"low {one.low_after} named {one.named_after} false {dict(one.named_falsely) or 0} {one.end_ma:g} mA "
         f"roll {fmean(one.rolled or [0]):.2f} push {one.push_off_lost:.2f}{flags}"
     )

@@ -34,7 +34,8 @@ BELIEVED: Final = 4  # strides' worth of trust in the usual noise
 REMEMBERED: Final = 12
 MOST_SURPRISE: Final = 2.5  # standard deviations: one stumble says little about the others
 JUMP_SD: Final = 0.3  # of the bare level, once something has happened to the foot
-GRID: Final = np.arange(81) / 80.0  # (U,) drives that are looked at
+GRID: Final = np.arange(81) / 80.0  # (U,) drives that are looked at …
+GRID_RISEN: Final = np.maximum(GRID[:, None] - THRESHOLDS, 0.0)  # … and by how much each is above each threshold
 
 
 class Usual(NamedTuple):
@@ -71,9 +72,9 @@ class _Lines:
         total = BELIEVED * self.usual.noise**2 + sum(off * off for off in self._surprises)
         return math.sqrt(total / (BELIEVED + len(self._surprises)))
 
-    def predict(self, drives: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance, without noise, at ``drives`` (U,) given each threshold: (U, H) both."""
-        risen = np.maximum(drives[:, None] - THRESHOLDS, 0.0)
+    def predict(self, drive: float) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance, without noise, at ``drive`` given each threshold: (H,) both."""
+        risen = np.maximum(drive - THRESHOLDS, 0.0)
         mean = self.mean[:, 0] + self.mean[:, 1] * risen
         variance = self.cov[:, 0, 0] + 2.0 * risen * self.cov[:, 0, 1] + risen**2 * self.cov[:, 1, 1]
         return mean, variance
@@ -138,19 +139,14 @@ class ResponseModel:
         """Standard deviation of one stride about what is expected, bands."""
         return self._lines[name].noise
 
-    def levels(self, name: str, drives: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The level to expect at ``drives`` (U,), and its standard deviation without a stride's noise: (U,) both."""
-        mean, variance = self._lines[name].predict(drives)
-        middle = mean @ self._weights
-        spread = (variance + (mean - middle[:, None]) ** 2) @ self._weights
-        return middle, np.sqrt(np.maximum(spread, 0.0))
-
     def expected(self, name: str, drive: float) -> Known:
-        """The level to expect under this drive."""
+        """The level to expect under this drive; its standard deviation is without a stride's noise."""
         if name not in self._lines:
             return Known(BARE, BARE_SD)
-        middle, sd = self.levels(name, np.array([drive]))
-        return Known(float(middle[0]), float(sd[0]))
+        mean, variance = self._lines[name].predict(drive)
+        middle = float(mean @ self._weights)
+        spread = float((variance + (mean - middle) ** 2) @ self._weights)
+        return Known(middle, math.sqrt(max(spread, 0.0)))
 
     def gained(self, name: str, drive: float) -> Known:
         """What this drive lifts the level by, against none."""
@@ -180,7 +176,9 @@ class ResponseModel:
 
     def least_drives(self, name: str, levels: FloatArray) -> FloatArray:
         """The least drives from which on these levels (N,) are to be expected, (N,); 1 where none suffices."""
-        reached = np.maximum.accumulate(self.levels(name, GRID)[0])
+        lines = self._lines[name]
+        expected = (lines.mean[:, 0] + lines.mean[:, 1] * GRID_RISEN) @ self._weights
+        reached = np.maximum.accumulate(expected)
         return np.asarray(GRID[np.minimum(np.searchsorted(reached, levels), len(GRID) - 1)])
 
     def least_drive(self, name: str, level: float) -> float:

@@ -126,7 +126,7 @@ class Tuner:
         self.frozen = ""
         self.model = ResponseModel()
         self.delay = DelayEstimate()
-        self._geometry = geometry
+        self.geometry = geometry
         self._usual_intensity = usual_intensity
         self._most = strongest_drive(channel, self.tuning)
         self._shape = BurstShape(channel, self.tuning, self._most)
@@ -134,15 +134,15 @@ class Tuner:
         self._timing = SpeedTiming()
         self._lowering = Lowering()
         self._answers = AnswerMonitor()
-        self._faults = FaultWatch()
-        self._memory = SpeedMemory()
+        self.faults = FaultWatch()
+        self.memory = SpeedMemory()
         self._spared = 0  # strides in which nothing is lowered, for a fault was found
         self._returning: BurstParameters | None = None
         self._even: BurstParameters | None = None  # what was learnt on even ground, while it is put away
         self._climb: tuple[BurstParameters, float] | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
         self._settle = 0
-        self._still = 0  # strides since the last change
+        self.still = 0  # strides since the last change
         self._excited = 1.0  # which way the next excitation goes
         self._unreached = 0
         self._uneven = 0
@@ -220,23 +220,23 @@ class Tuner:
         if self._unlike_the_others(reading, drives):
             text = f"stride {stride.number} skipped: {reading.measures[0].text()} is unlike the strides before"
             return self._report(t_ns, "skip", text)
-        other_speed = self._memory.changed(stride.speed_mps)
+        other_speed = self.memory.changed(stride.speed_mps)
         if other_speed:
-            self._faults.forget()
-        fault = self._faults.stride(reading, drives, self.model)
+            self.faults.forget()
+        fault = self.faults.stride(reading, drives, self.model)
         self._spared = SPARED if fault else max(self._spared - 1, 0)
         if fault or other_speed:
-            self._faults.forget()
+            self.faults.forget()
             self.model.shake()
             self._climb = None
         if fault:
-            self._memory.forget()
+            self.memory.forget()
         self.model.add(reading, drives)
         self._learn_delay(stride, intensity)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
         if 0.0 <= reading.level <= 1.0 and not self._spared:
-            self._memory.keep(self.drive)
+            self.memory.keep(self.drive)
         spent = share_used(self.parameters, self.tuning) >= SPENT
         if not self.frozen and (why := self._answers.stride(reading, drives, self.parameters, self.model, spent=spent)):
             return self._stop(t_ns, why)
@@ -249,7 +249,7 @@ class Tuner:
             return self._still_returning(t_ns)
         if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
             return report
-        known = self._memory.known() if other_speed else None
+        known = self.memory.known() if other_speed else None
         report = self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
         return self._with_fault(t_ns, stride, fault, report) if fault else report
 
@@ -409,12 +409,12 @@ class Tuner:
 
     def _worth_knowing(self, demands: tuple[Demand, ...]) -> str:
         """Why a step too small to be felt is made though nothing is missing; "" for none."""
-        self._still += 1
+        self.still += 1
         name = demands[0].measure.name
         slope = self.model.slope(name)
-        if self._still <= STILL or self._spared or slope.sd <= UNKNOWN * abs(slope.value):
+        if self.still <= STILL or self._spared or slope.sd <= UNKNOWN * abs(slope.value):
             return ""
-        self._still = 0
+        self.still = 0
         return f"how {name} answers is not known well, a small step tells more"
 
     def _answered(
@@ -426,7 +426,7 @@ class Tuner:
             return self._shape.answered(wanted, demands, zones, intensity)
         if zones is None or zones.times is None:
             return wanted
-        missing = missing_drive(stride, zones.times, demands, self.model, self._geometry, self.tuning.gain)
+        missing = missing_drive(stride, zones.times, demands, self.model, self.geometry, self.tuning.gain)
         if not missing.times_s:
             return wanted
         return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity)
@@ -439,7 +439,7 @@ class Tuner:
             self.pending = after
             return TuningReport(t_ns, self.channel.number, "suggestion", f"suggested: {text}", before, after)
         if drive_of(after, before) != 1.0:
-            self._settle, self._still = 1, 0
+            self._settle, self.still = 1, 0
         if drive_of(after, before) < 1.0 or self._climb is None:
             self._climb = (after if drive_of(after, before) < 1.0 else before, 0.0)
         self.parameters = after
