@@ -166,6 +166,7 @@ class Monitor(ShownLog):
         self.answered_ns: int | None = None
         self.device_fault = ""
         self._refused: StimStatus | None = None
+        self.observed: Callable[[Event], None] | None = None  # as the session's
         self.arrivals: dict[str, Timing] = {sensor: Timing() for sensor in sensors}
         self.sensors = sensors
         self._missed_by_lost_dashboard = 0
@@ -180,6 +181,8 @@ class Monitor(ShownLog):
     def event(self, event: Event) -> None:
         """As the log's."""
         super().event(event)
+        if self.observed is not None:
+            self.observed(event)
         if self._notices is not None:
             self._notices.electrodes.add_event(event)
         if self._sides is not None:

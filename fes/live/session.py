@@ -25,6 +25,7 @@ from fes.live.sensors import Input, SensorStream
 from fes.live.sides import SideCheck
 from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
+from fes.live.supervised_line import POLL_NS
 from fes.session_log import Note, Received
 from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
 
@@ -47,6 +48,7 @@ def live_header(
     return header_of(kind, about, session, calibrations, stim_session_id, created) | {
         "created_t_ns": t_ns,
         "current_step_ma": current_step_ma,
+        "polled_every_ns": POLL_NS,
         "heard": True,  # what a serial stimulator answered is in the log as it came, so that its bytes can be repeated
     }
 
@@ -59,7 +61,8 @@ class LiveSession:
 
     Everything is stamped by ``clock_ns``, the monotonic clock. After ``duration_s`` the session ends by itself; None:
     the operator ends it. For ``open_lead_detected_from_ma`` see :class:`fes.live.stimulator.Electrodes`. ``side``: on
-    which leg the only sensor is, if a person has said so.
+    which leg the only sensor is, if a person has said so. ``observed`` gets every event, in order, before anybody acts
+    on it.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class LiveSession:
         current_step_ma: float = CURRENT_STEP_MA,
         open_lead_detected_from_ma: float | None = None,
         side: str = "",
+        observed: Callable[[Event], None] | None = None,
     ) -> None:
         self.controller = Controller(session, calibrations, current_step_ma=current_step_ma)
         self.gate = gate_of(
@@ -95,6 +99,7 @@ class LiveSession:
             log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices, self.sides
         )
         self.monitor.free_ground = session.ground.free
+        self.monitor.observed = observed
         self.operator = Operator(
             session, self.controller, self.gate, monitors, phase_sensor_of, self.monitor.note,
             lambda: self.monitor.answered_ns, self._reasons_not_ready, electrodes.unknown, side,

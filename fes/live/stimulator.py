@@ -1,10 +1,11 @@
 """The stimulator as the live loop sees it: lost and found again as events, and nothing that has grown old goes out."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from fes import limits
 from fes.live.sensors import Reopening, StimulatorLine
+from fes.live.supervision import UNSENT
 from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, SystemFault, WireFrame
 
 
@@ -37,9 +38,6 @@ class Electrodes:
         at = f" at {self._detected_from_ma:g} mA" if self._detected_from_ma else ""
         which = ", ".join(map(str, sorted(self._unknown)))
         return f"electrode not known until the first pulse{at} (channel {which})"
-
-
-UNSENT: Final = 0  # the identifier of a frame that did not go out
 
 
 class Opened(NamedTuple):
@@ -94,9 +92,12 @@ class LiveStimulator:
                 self._events.append(SystemFault(command.t_ns, f"a command was {late_ns / 1e6:.0f} ms late, not sent"))
             else:
                 try:
-                    return self._line.send(command)
+                    frame = self._line.send(command)
                 except self._lost as error:
                     self._lose(command.t_ns, error)
+                else:
+                    self.unsent += frame.identifier == UNSENT
+                    return frame
         self.unsent += 1
         return WireFrame(command.t_ns, UNSENT, b"")
 
@@ -124,6 +125,10 @@ class LiveStimulator:
         while self._events:
             event = self._events.pop(0)
             yield SystemFault(t_ns, event.text) if isinstance(event, SystemFault) else event
+
+    def add_fault(self, text: str) -> None:
+        """The line itself has found what forbids stimulation."""
+        self._events.append(SystemFault(0, text))
 
     def renew(self, t_ns: int) -> None:
         """Open the device again, under a new session identifier, though it was not lost."""

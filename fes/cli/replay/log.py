@@ -11,7 +11,7 @@ from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, PROTOCOL_VERSION
 from fes import __version__
 from fes.cli.common.exits import FAILED, failing
 from fes.cli.common.show import show, show_latched
-from fes.cli.replay.stimulators import LoggedSink, SerialSink, repeats_bytes
+from fes.cli.replay.stimulators import LoggedSink, SerialSink, polled_every_ns, repeats_bytes
 from fes.config import ConfigError, Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import settings_of
@@ -19,7 +19,7 @@ from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
 from fes.evaluation.log_replay import ReplayOutput, first_difference
 from fes.gate import SafetyGate, gate_of
-from fes.live.stimulator import UNSENT
+from fes.live.supervision import OWN, UNSENT
 from fes.session_log import SessionLogError, SessionRecord, iter_events, iter_inputs, read_session
 from fes.signals import Event
 
@@ -88,7 +88,7 @@ class Reopened:
         sink: LoggedSink | SerialSink
         compares_bytes = True
         if repeats_bytes(self.session, self.record.header):
-            sink = SerialSink(self.session)
+            sink = SerialSink(self.session, polled_every_ns(self.record.header))
             recorded = sink.logged_commands(self.record.frames)
             sink.sent = [frame.identifier != UNSENT for frame in recorded]
             self.events: Iterator[Event] = sink.replay_events(iter_inputs(path), session_id)
@@ -97,6 +97,9 @@ class Reopened:
             sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
             self.events = sink.replay_events(iter_events(path))
             compares_bytes = self.session.stimulator.device == "can"  # what another driver made of one is not known
+        # of a log from before there was a supervisor, none is
+        sink.own = {n: command for n, command in enumerate(self.record.commands) if command.refused.startswith(OWN)}
+        sink.came = self.now.command
         self.recorded = recorded if compares_bytes else None
         self.runner = Runner(controller, gate, sink, self.now, lambda: 0)
 

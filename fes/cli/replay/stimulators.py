@@ -6,7 +6,7 @@ And what encodes as a session did when its log is repeated: a serial stimulator'
 import math
 import time
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,8 @@ from drivers.stimulator.serial_line import Line
 from fes.config import ImuDevice, Session
 from fes.control.runner import Stimulator
 from fes.evaluation.delivered import Delivered, compare_delivered
-from fes.live.stimulator import UNSENT
+from fes.live.supervised_line import is_due
+from fes.live.supervision import UNSENT
 from fes.recording import Recording
 from fes.session_log import Received
 from fes.signals import G_MPS2, Event, RawSample, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame
@@ -57,14 +58,29 @@ class LoggedLine:
         """Nothing is held."""
 
 
+Came = Callable[[StimCommand, WireFrame], None]
+
+
 class _RepeatingSink:
-    """Encodes as the session did, but not what it could not send; ``sent`` says by command whether it did."""
+    """Encodes as the session did, but not what it could not send; ``sent`` says by command whether it did.
+
+    ``own`` are the commands that its supervisor sent by itself, by their number among all; they go to ``came``.
+    """
 
     def __init__(self, sink: ByteSink | ScienceModePort, sent: Sequence[bool] = ()) -> None:
         self.sent, self._sink, self._number = sent, sink, 0
+        self.own: Mapping[int, StimCommand] = {}
+        self.came: Came = lambda command, frame: None
+
+    def send_own(self) -> None:
+        """What the supervisor sent by itself before the next command."""
+        while (own := self.own.get(self._number)) is not None:
+            self._number += 1
+            self.came(own, self._sink.send(own))
 
     def send(self, command: StimCommand) -> WireFrame:
         """The frame that the session sent, or left out."""
+        self.send_own()
         number, self._number = self._number, self._number + 1
         if number < len(self.sent) and not self.sent[number]:
             return WireFrame(command.t_ns, UNSENT, b"")
@@ -87,6 +103,7 @@ class LoggedSink(_RepeatingSink):
             if isinstance(event, StimOpened):
                 self._sink = ByteSink(event.session_id)
             yield event
+        self.send_own()
 
 
 class SerialSink(_RepeatingSink):
@@ -98,8 +115,10 @@ class SerialSink(_RepeatingSink):
         ConfigError: the log's settings are not such a device's.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, polled_every_ns: int = 0) -> None:
         self._session = session
+        self._every_ns = polled_every_ns
+        self._polled_ns: int | None = None
         self._line = LoggedLine()
         self._port = self._open(0)
         super().__init__(self._port)
@@ -111,11 +130,15 @@ class SerialSink(_RepeatingSink):
         is in the log before the answers that it made of it.
         """
         greeted: list[WireFrame] = []
-        begun, looked_ns = False, None
+        begun, looked_ns, commands = False, None, 0
         for each in inputs:
             if isinstance(each, WireFrame):
                 if each.identifier in self._port.greetings:
                     greeted.append(each)
+                    continue
+                if commands in self.own and commands == self._number:  # before what its line brought next
+                    self.send_own()
+                commands += 1
                 continue
             if not begun:
                 self._resume(session_id, greeted)
@@ -129,18 +152,20 @@ class SerialSink(_RepeatingSink):
             yield each
             looked_ns = None if isinstance(each, StimStatus | StimAlive) else each.t_ns
         self._check(looked_ns)
+        self.send_own()
 
     def logged_commands(self, frames: Iterable[WireFrame]) -> list[WireFrame]:
         """Of all frames those of commands, one each: all but the handshakes'."""
         return [frame for frame in frames if frame.identifier not in self._port.greetings]
 
     def _check(self, t_ns: int | None) -> None:
-        if t_ns is not None:
+        if t_ns is not None and is_due(t_ns, self._polled_ns, self._every_ns):
+            self._polled_ns = t_ns
             with suppress(StimulatorLost):  # as it was then, and the log says so
                 self._port.poll(t_ns)
 
     def _resume(self, session_id: int, greeted: list[WireFrame]) -> None:
-        self._line = LoggedLine()
+        self._line, self._polled_ns = LoggedLine(), None
         self._sink = self._port = self._open(session_id)
         self._port.resume(greeted)
         greeted.clear()
@@ -155,6 +180,12 @@ class SerialSink(_RepeatingSink):
 def repeats_bytes(session: Session, header: Mapping[str, object]) -> bool:
     """Whether a log holds all that the session's serial port went by; those of before that was kept do not."""
     return session.stimulator.device in SERIAL and header.get("heard") is True
+
+
+def polled_every_ns(header: Mapping[str, object]) -> int:
+    """How far apart the session looked at its stimulator's line; older ones looked after every event."""
+    every = header.get("polled_every_ns", 0)
+    return every if isinstance(every, int) else 0
 
 
 LAST_ANSWERS_S = 0.5

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from drivers.stimulator.open import open_lead_detected_from_ma, open_session
+from drivers.stimulator.open import open_lead_detected_from_ma
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
@@ -26,7 +26,7 @@ from fes.cli.common.progress import Interrupt
 from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_session
 from fes.estimation.foot.calibration import CalibrationError
-from fes.estimation.sensor_choice import Calibration, phase_sensors
+from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.live.calibrating import Calibrating
 from fes.live.commands import CommandKind, OperatorCommand
@@ -40,6 +40,7 @@ from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.source import LiveSource
 from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.supervised_line import SupervisorProcess
 from fes.session_log import SessionLogError
 from fes.signals import Event
 
@@ -248,14 +249,20 @@ def run_live(
     interrupt: Interrupt,
     stack: ExitStack,
 ) -> tuple[Path, str]:
-    """Open the stimulator, then the one loop; the log's path and how it ended. Nothing else drives a real device."""
+    """Have the supervisor open the stimulator, then the one loop; the log's path and how it ended.
+
+    Nothing else drives a real device.
+    """
+    stop_file = options.stop_file or (Path(session.live.stop_file) if session.live.stop_file else folder / STOP_NAME)
+    up = {sensor: each.up for sensor, each in calibrations.items()}
+    shanks = shank_phase_sensors(calibrations)
+    line = stack.enter_context(SupervisorProcess(session, up, shanks, str(stop_file), StimulatorLost)).line
     opened_ns = time.monotonic_ns()
     with failing(StimulatorLost, ConfigError):
-        port, session_id, handshake = open_session(session.stimulator, session, opened_ns)
-    stack.callback(port.close)
+        opened = line.open(opened_ns)
     log_path = folder / f"session{LOG_SUFFIX}"
     with failing(SessionLogError):
-        header = live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma)
+        header = live_header(session, calibrations, opened.session_id, utc_now(), opened_ns, opened.current_step_ma)
         log = PipedLog(log_path, header)
     kind, page_port = str(header["kind"]), options.dashboard_port
     dashboard = devices.open_dashboard(folder, session, kind, page_port, stack) if options.dashboard else None
@@ -263,10 +270,10 @@ def run_live(
     view = stack.enter_context(ViewProcess()) if viewed else None
 
     def open_again() -> Opened:
-        port, session_id, handshake = open_session(session.stimulator, session, time.monotonic_ns())
-        return Opened(port, session_id, handshake.frames)
+        opened = line.open(time.monotonic_ns())
+        return Opened(line, opened.session_id, opened.frames)
 
-    stimulator = LiveStimulator(port, open_again, StimulatorLost, time.monotonic_ns)
+    stimulator = LiveStimulator(line, open_again, StimulatorLost, time.monotonic_ns)
     stack.callback(stimulator.close)
     live = LiveSession(
         session,
@@ -276,11 +283,13 @@ def run_live(
         time.monotonic_ns,
         view,
         options.duration_s,
-        current_step_ma=port.current_step_ma,
+        current_step_ma=opened.current_step_ma,
         open_lead_detected_from_ma=open_lead_detected_from_ma(session.stimulator),
         side=options.side or "",
+        observed=line.observe,
     )
-    _give_inputs(live, session, options, folder, keys, stack)
+    line.on_own, line.on_fault = live.monitor.command, stimulator.add_fault
+    _give_inputs(live, session, options, stop_file, folder, keys, stack)
     if session.exercise is not None:
         live.add_input(ExerciseClock(session.exercise, live.operator))
     if dashboard is not None:
@@ -295,7 +304,7 @@ def run_live(
             click.secho(f"{grant}. Remedy: {grant.remedy}", fg="yellow", err=True)
     ended = COMPLETE
     try:
-        live.run(streams, handshake.frames, handshake.alive, grants, interrupt.check)
+        live.run(streams, opened.frames, opened.alive, grants, interrupt.check)
     except KeyboardInterrupt:
         ended = "interrupted"
     except SessionLogError as error:
@@ -314,12 +323,17 @@ def run_live(
 
 
 def _give_inputs(
-    live: LiveSession, session: Session, options: Options, folder: Path, keys: int | None, stack: ExitStack
+    live: LiveSession,
+    session: Session,
+    options: Options,
+    stop_file: Path,
+    folder: Path,
+    keys: int | None,
+    stack: ExitStack,
 ) -> None:
     if keys is not None:
         live.add_keys(keys)
-    named = Path(session.live.stop_file) if session.live.stop_file else None
-    live.add_input(StopFile(options.stop_file or named or folder / STOP_NAME, live.operator.execute))
+    live.add_input(StopFile(stop_file, live.operator.execute))
     try:
         live.add_control(options.control or folder / SOCKET_NAME)
     except OSError as error:
