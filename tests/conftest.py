@@ -42,6 +42,7 @@ LIVE = ("transports/", "live/test_live_orphans.py", "live/test_live_log.py", "li
 LIVE += (
     "live/test_live_source.py",
     "live/test_page_browser.py",
+    "live/test_supervisor_process.py",
     "hil/test_hil_killed.py",
     "drivers/test_canopen_stimulator.py",
 )
