@@ -17,6 +17,7 @@ _REQUEST: Final = "The plan asked for more than a limit allows; check the channe
 
 REMEDIES: Final[tuple[tuple[str, str], ...]] = (  # the first whose words are found
     (r"controller stalled|command was .* late|lease expired|too late", _COMPUTER),
+    (r"start a new session|did not switch off", "End the session and begin anew; keep the log."),
     (r"are their sensors exchanged", _SIDES),
     (r"sensor lost|no data from", _LINE),
     (r"clock of .* jumped|clock went|time stamps are out of order|dated .* ahead", _RESTART),

@@ -25,6 +25,7 @@ MODULE: Final = "fes.cli.run.supervisor"
 ANSWER_NS: Final = 30_000_000  # less than the 40 ms for which the loop may be away
 OPEN_NS: Final = 60_000_000_000  # eight identifiers tried on the slowest device
 POLL_NS: Final = 5_000_000  # of the events' time, between two looks at what the stimulator says
+HELD_NS: Final = 1_000_000  # what was observed longer ago goes at once, so that no command waits for its observing
 GATHERED_NS: Final = 10_000_000  # while the line is lost, and nothing is asked
 BUFFER_BYTES: Final = 1 << 20
 
@@ -46,6 +47,7 @@ class SupervisedLine:
 
     def __init__(self, link: socket.socket, lost: type[Exception]) -> None:
         self.heard = b""
+        self.done_ns = 0  # when the supervisor had done what was asked last
         self.on_own: Callable[[StimCommand, WireFrame], None] = lambda command, frame: None
         self.on_fault: Callable[[str], None] = lambda text: None
         self._link, self._lost = link, lost
@@ -102,6 +104,8 @@ class SupervisedLine:
         """What has arrived; asked for once in :data:`POLL_NS` of the events' time, see :func:`is_due`."""
         self.heard = b""
         if not is_due(t_ns, self._polled_ns):
+            if t_ns - self._since_ns >= HELD_NS and self._gathered:
+                self._tell(What.NOTHING, t_ns)
             return []
         self._polled_ns = t_ns
         values = self._ask(What.POLL, t_ns)
@@ -138,6 +142,7 @@ class SupervisedLine:
             answer = unpacked(data)
             values = self._without_untold(answer, number)
             if answer.number == number:
+                self.done_ns = answer.t_ns
                 return values
 
     def _without_untold(self, answer: Datagram, number: int) -> list[Any]:

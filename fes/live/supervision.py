@@ -51,7 +51,7 @@ Value = Rare | ImuSample | LineOpened
 
 
 class Datagram(NamedTuple):
-    """One of either side; an answer's time means nothing."""
+    """One of either side; an answer's time is when what was asked had been done."""
 
     number: int
     what: What

@@ -187,11 +187,11 @@ class Supervisor:
 
     def _told(self, number: int, what: What, values: Sequence[Value]) -> bytes:
         untold, self._untold = self._untold, []
-        return datagram(number, what, 0, b"".join(map(packed, (*untold, *values))))
+        return datagram(number, what, self._clock_ns(), b"".join(map(packed, (*untold, *values))))
 
     # --- what it does by itself ------------------------------------------------------------------------------
 
-    def look(self) -> bytes:
+    def supervise(self) -> bytes:
         """See to the time, the stop file and an opening under way; the answer to that, once it is over.
 
         Call it at least every :data:`LOOK_NS`, and only after what had come was taken in: what the supervisor missed
@@ -292,7 +292,7 @@ def serve(link: socket.socket, supervisor: Supervisor) -> None:
                 if not (data := link.recv(MOST_BYTES + 1)):
                     break
                 _say(link, supervisor.answer(data))
-            _say(link, supervisor.look())
+            _say(link, supervisor.supervise())
         why = "the controller has ended"
     except ConnectionResetError:
         why = "the controller has ended"

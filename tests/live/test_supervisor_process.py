@@ -148,7 +148,7 @@ def controller(folder: Path, evil: str) -> Iterator[Corrupted]:
             process.wait(10)
 
 
-@pytest.mark.requirement("SR-29")
+@pytest.mark.requirement("SR-24")
 @pytest.mark.parametrize(
     ("evil", "names"),
     [("over", "1000 mA"), ("garbage", "no record"), ("stale", "ms old"), ("late", "50 ms late")],
@@ -165,7 +165,7 @@ def test_what_a_corrupted_controller_asks_for_never_gets_through(tmp_path: Path,
         assert max(entry.current_ma for entry in entries) == ON_MA
 
 
-@pytest.mark.requirement("SR-29")
+@pytest.mark.requirement("SR-24")
 def test_a_stopped_controller_is_off_within_its_guard_and_stays_off_when_it_goes_on(tmp_path: Path) -> None:
     with controller(tmp_path, "none") as corrupted:
         corrupted.said("EVIL")
@@ -174,7 +174,9 @@ def test_a_stopped_controller_is_off_within_its_guard_and_stays_off_when_it_goes
         blow_ns = time.monotonic_ns()
         after_ms = corrupted.last_pulse_after_ms(blow_ns)
         ended = corrupted.entries()[-1]
-        print(f"last pulse {after_ms:.1f} ms after it was stopped, {ended.event} after {(ended.t_ns - blow_ns) / MS:.1f}")
+        print(
+            f"last pulse {after_ms:.1f} ms after it was stopped, {ended.event} after {(ended.t_ns - blow_ns) / MS:.1f}"
+        )
         assert after_ms <= SWITCHED_OFF_MS
         time.sleep(0.3)
         corrupted.process.send_signal(signal.SIGCONT)
@@ -184,7 +186,7 @@ def test_a_stopped_controller_is_off_within_its_guard_and_stays_off_when_it_goes
         assert not [entry for entry in corrupted.entries() if entry.t_ns > goes_on_ns and entry.current_ma]
 
 
-@pytest.mark.requirement("SR-29")
+@pytest.mark.requirement("SR-24")
 def test_a_killed_controller_is_off_at_once_and_leaves_no_supervisor(tmp_path: Path) -> None:
     with controller(tmp_path, "none") as corrupted:
         corrupted.said("EVIL")
@@ -198,7 +200,7 @@ def test_a_killed_controller_is_off_at_once_and_leaves_no_supervisor(tmp_path: P
         print(f"gone after {gone_after_s([corrupted.supervisor], blow_ns, 3.0):.2f} s")
 
 
-@pytest.mark.requirement("SR-29")
+@pytest.mark.requirement("SR-24")
 def test_a_killed_supervisor_is_the_end_of_the_line_and_the_lease_ends_the_burst(tmp_path: Path) -> None:
     with controller(tmp_path, "none") as corrupted:
         corrupted.said("EVIL")
