@@ -102,10 +102,11 @@ def line_of(session: Session, apart: bool) -> Iterator[OneProcess | StimulatorLi
         return
     with (
         tempfile.TemporaryDirectory() as folder,
-        SupervisorProcess(session, {}, {}, f"{folder}/stop", StimulatorLost) as supervisor,
+        SupervisorProcess() as supervisor,
     ):
-        supervisor.line.open(time.monotonic_ns())
-        yield supervisor.line
+        supervised = supervisor.line_of(session, {}, {}, f"{folder}/stop", StimulatorLost)
+        supervised.open(time.monotonic_ns())
+        yield supervised
 
 
 @dataclass
@@ -184,7 +185,7 @@ def spin() -> None:
 
 @dataclass
 class Row:
-    """At p50, p99 and p99.9, ms: a command until it is written, in one process and apart, and until that is known there.
+    """At p50, p99 and p99.9, ms: a command until it is written, in one process and apart, and until that is known.
 
     What a sample costs, µs, and its mean last.
     """

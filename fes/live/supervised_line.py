@@ -27,6 +27,7 @@ OPEN_NS: Final = 60_000_000_000  # eight identifiers tried on the slowest device
 POLL_NS: Final = 5_000_000  # of the events' time, between two looks at what the stimulator says
 HELD_NS: Final = 1_000_000  # what was observed longer ago goes at once, so that no command waits for its observing
 GATHERED_NS: Final = 10_000_000  # while the line is lost, and nothing is asked
+GATHERED_BYTES: Final = MOST_BYTES // 4  # of a backlog, all of one time
 BUFFER_BYTES: Final = 1 << 20
 
 
@@ -86,7 +87,7 @@ class SupervisedLine:
         if not self._gathered:
             self._since_ns = event.t_ns
         self._gathered += packed(event)
-        if event.t_ns - self._since_ns > GATHERED_NS:
+        if event.t_ns - self._since_ns > GATHERED_NS or len(self._gathered) > GATHERED_BYTES:
             self._tell(What.NOTHING, event.t_ns)
 
     def send(self, command: StimCommand) -> WireFrame:
@@ -118,7 +119,9 @@ class SupervisedLine:
 
     def _tell(self, what: What, t_ns: int, more: bytes = b"") -> int:
         number = next(self._numbers) & 0xFFFF_FFFF
-        gathered, self._gathered = self._gathered, bytearray()
+        gathered = bytearray()
+        if what is not What.OPEN:  # which is asked in another thread than what is observed
+            gathered, self._gathered = self._gathered, gathered
         try:
             self._link.send(datagram(number, what, t_ns, gathered + more), socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
         except OSError as error:  # what it misses now it never gets: its gate knows less than ours
@@ -173,16 +176,9 @@ def is_due(t_ns: int, polled_ns: int | None, every_ns: int = POLL_NS) -> bool:
 
 
 class SupervisorProcess:
-    """The supervisor while entered; ``line`` reaches it. Its first opening of the port waits until it has started."""
+    """The supervisor's process while entered. It takes a second to start, so begin early; then :meth:`line_of`."""
 
-    def __init__(
-        self,
-        session: Session,
-        up: Mapping[str, Vector3],
-        shank_phase_sensors: Mapping[str, str],
-        stop_file: str,
-        lost: type[Exception],
-    ) -> None:
+    def __init__(self) -> None:
         link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self.process = subprocess.Popen(
@@ -194,13 +190,28 @@ class SupervisorProcess:
         finally:
             theirs.close()
         self._link = link
-        self.line = SupervisedLine(link, lost)
+        self._begun = False
+
+    def line_of(
+        self,
+        session: Session,
+        up: Mapping[str, Vector3],
+        shank_phase_sensors: Mapping[str, str],
+        stop_file: str,
+        lost: type[Exception],
+    ) -> SupervisedLine:
+        """The line, still to be opened, of a session: what :func:`fes.gate.gate_of` needs, and the stop file."""
         settings = {"session": session.model_dump(mode="json"), "up": dict(up), "stop_file": stop_file}
-        link.send(json.dumps(settings | {"shank_phase_sensors": dict(shank_phase_sensors)}).encode())
+        line, self._begun = SupervisedLine(self._link, lost), True
+        with suppress(OSError):  # it has ended already: the opening says so
+            self._link.send(json.dumps(settings | {"shank_phase_sensors": dict(shank_phase_sensors)}).encode())
+        return line
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if not self._begun:
+            self.process.kill()
         with suppress(OSError):
             end_helper(self.process, self._link, b"", 3.0)

@@ -504,6 +504,33 @@ def test_while_the_line_is_lost_its_gate_is_told_all_the_same() -> None:
             theirs.recv(4096)
 
 
+def test_a_backlog_of_one_time_goes_in_datagrams_that_the_supervisor_takes() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        theirs.setblocking(False)
+        line = SupervisedLine(ours, Lost)
+        backlog = [ImuSample(5, FOOT, k, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)) for k in range(2_000)]
+        for sample in backlog:
+            line.observe(sample)
+        line.close()
+        heard: list[Value] = []
+        while (data := unpacked(theirs.recv(1 << 20))).what is not What.CLOSE:
+            heard += data.values
+    assert heard + data.values == backlog
+
+
+def test_opening_in_its_thread_leaves_alone_what_is_observed_meanwhile() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        line = SupervisedLine(ours, Lost)
+        line.observe(Tick(1))
+        theirs.send(datagram(1, What.DONE, 0, packed(LineOpened(1, 0.5))))
+        line.open(2)
+        assert unpacked(theirs.recv(4096)).values == []
+        line.close()
+        assert unpacked(theirs.recv(4096)).values == [Tick(1)]
+
+
 def test_a_supervisor_that_reads_nothing_is_told_nothing_more() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:

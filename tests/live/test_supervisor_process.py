@@ -52,8 +52,8 @@ def command(current_ma, on=True):
     return StimCommand(now(), first.number, on, current_ma * on, width_us * on, 40.0 * on, 60)
 
 
-with SupervisorProcess(session, {}, {}, stop_file, StimulatorLost) as supervisor:
-    line = supervisor.line
+with SupervisorProcess() as supervisor:
+    line = supervisor.line_of(session, {}, {}, stop_file, StimulatorLost)
     line.on_fault = faults.append
     line.open(now())
     fixed_priority()

@@ -31,6 +31,7 @@ from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.live.inputs import Terminal, standard_keys
 from fes.live.sensors import SensorStream
+from fes.live.supervised_line import SupervisorProcess
 from fes.recording import Recording, RecordingError
 from fes.recording.tracks import samples_of
 from fes.session_log import SessionLogError, SessionWriter, read_session
@@ -223,8 +224,9 @@ def _to_the_device(
         if keys is not None:
             stack.enter_context(Terminal(keys))
         interrupt = stack.enter_context(Interrupt())
+        supervisor = stack.enter_context(SupervisorProcess())
         streams = [SensorStream(line, SensorClock, ImuLost, needed)]
-        log_path, ended = run.run_live(session, calibrations, streams, live, folder, keys, interrupt, stack)
+        log_path, ended = run.run_live(session, calibrations, streams, live, folder, keys, interrupt, supervisor, stack)
     run.said_how_it_ended(log_path, ended)
     show_latched(show(log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None))
     record = read_session(log_path)

@@ -165,6 +165,7 @@ def run_session(path: Path, options: Options) -> Path:
         calibrations = load(options.calibration).calibrations if options.calibration else None
     folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
     with ExitStack() as stack:
+        supervisor = stack.enter_context(SupervisorProcess())
         streams = devices.open_sensors(session, stack)
         keys = options.keys_from if options.keys_from is not None else standard_keys()
         if keys is not None:
@@ -188,7 +189,7 @@ def run_session(path: Path, options: Options) -> Path:
                 else "the session has both legs' sensors"
             )
             raise Problem(f"--side {options.side}: {says}.")
-        log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, stack)
+        log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, supervisor, stack)
     finish(log_path, ended, report=options.report)
     return log_path
 
@@ -247,6 +248,7 @@ def run_live(
     folder: Path,
     keys: int | None,
     interrupt: Interrupt,
+    supervisor: SupervisorProcess,
     stack: ExitStack,
 ) -> tuple[Path, str]:
     """Have the supervisor open the stimulator, then the one loop; the log's path and how it ended.
@@ -256,7 +258,7 @@ def run_live(
     stop_file = options.stop_file or (Path(session.live.stop_file) if session.live.stop_file else folder / STOP_NAME)
     up = {sensor: each.up for sensor, each in calibrations.items()}
     shanks = shank_phase_sensors(calibrations)
-    line = stack.enter_context(SupervisorProcess(session, up, shanks, str(stop_file), StimulatorLost)).line
+    line = supervisor.line_of(session, up, shanks, str(stop_file), StimulatorLost)
     opened_ns = time.monotonic_ns()
     with failing(StimulatorLost, ConfigError):
         opened = line.open(opened_ns)

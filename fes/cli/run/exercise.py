@@ -12,6 +12,7 @@ from fes.cli.common.progress import Interrupt
 from fes.cli.run.command import Options, finish, live_options, run_live
 from fes.config import ConfigError, load_exercise
 from fes.live.inputs import Terminal, standard_keys
+from fes.live.supervised_line import SupervisorProcess
 
 
 @click.command(name="exercise")
@@ -35,10 +36,11 @@ def run_exercise(path: Path, options: Options) -> Path:
         session = load_exercise(path)
     folder = fresh_folder(options.out or Path(session.live.folder), f"{path.stem}-exercise")
     with ExitStack() as stack:
+        supervisor = stack.enter_context(SupervisorProcess())
         keys = options.keys_from if options.keys_from is not None else standard_keys()
         if keys is not None:
             stack.enter_context(Terminal(keys))
         interrupt = stack.enter_context(Interrupt())
-        log_path, ended = run_live(session, {}, [], options, folder, keys, interrupt, stack)
+        log_path, ended = run_live(session, {}, [], options, folder, keys, interrupt, supervisor, stack)
     finish(log_path, ended, report=options.report)
     return log_path
