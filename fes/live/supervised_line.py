@@ -137,10 +137,10 @@ class SupervisedLine:
                 data = self._link.recv(MOST_BYTES + 1)
             except BlockingIOError:
                 raise self._lost(f"the supervisor does not answer within {ANSWER_NS // 1_000_000} ms") from None
-            except OSError as error:
-                data, self._failed = b"", f"the supervisor's process cannot be heard ({error.strerror})"
+            except OSError:  # it has ended with a datagram of ours unread
+                data = b""
             if not data:
-                self._failed = self._failed or "the supervisor's process has ended; start a new session"
+                self._failed = "the supervisor's process has ended; start a new session"
                 continue
             answer = unpacked(data)
             values = self._without_untold(answer, number)
