@@ -2,11 +2,11 @@
 
     python benchmarks/supervisor.py [--seconds S] [--json FILE]
 
-A simulated stimulator in a process of its own; two sensors at 500 Hz; a command every 20 ms, in bursts. Once gate and
-port are this process's own, once they are the supervisor's, the very one that `fes run` starts. Timed are a command,
-from the request until it is written and until that is known (there and back), and what a sample costs the loop: handing
-it on, and looking whether the stimulator has said anything. With the priority and the memory that a live session asks
-for; on the machine as it is, and with every processor kept busy.
+A simulated stimulator in a process of its own; two sensors at 500 Hz; a command every 20 ms, in bursts. Once the port
+is this process's own, behind its gate; once it is the supervisor's, the very one that `fes run` starts, behind both
+gates. Timed are a command, from the request until it is written and until that is known (there and back), and what a
+sample costs the loop: its gate, handing it on, and looking whether the stimulator has said anything. With the priority
+and the memory that a live session asks for; on the machine as it is, and with every processor kept busy.
 """
 
 from __future__ import annotations
@@ -34,16 +34,14 @@ from fes.config import Session, validate_session
 from fes.gate import gate_of
 from fes.live.realtime import become_real_time
 from fes.live.sensors import StimulatorLine
-from fes.live.supervised_line import SupervisorProcess
+from fes.live.supervised_line import SupervisedLine, SupervisorProcess
 from fes.signals import (
     Event,
     ImuSample,
     OperatorAct,
     OperatorAction,
-    StimAlive,
     StimCommand,
     StimRequest,
-    StimStatus,
     WireFrame,
 )
 
@@ -62,43 +60,38 @@ CHANNEL = {
 ON_MS, CYCLE_MS, COMMAND_MS = 1000, 1500, 20
 
 
-class OneProcess:
-    """Gate and port here, behind what the supervisor's line has."""
+class Loop:
+    """What a session does for each event: its own gate, then the port, its own or the supervisor's."""
 
-    heard = b""
-
-    def __init__(self, session: Session) -> None:
-        self._port = open_session(session.stimulator, session, time.monotonic_ns()).port
-        self._gate = gate_of(session, {})
+    def __init__(self, session: Session, port: StimulatorLine) -> None:
+        self._port, self._gate = port, gate_of(session, {})
+        self._supervised = port if isinstance(port, SupervisedLine) else None
 
     def observe(self, event: Event) -> None:
-        """As the runner has it observed."""
+        """Told to the supervisor, where there is one, and observed."""
+        if self._supervised is not None:
+            self._supervised.observe(event)
         self._gate.observe(event)
 
-    def send(self, command: StimCommand) -> WireFrame:
-        """Judged and written."""
+    def send(self, command: StimCommand) -> tuple[WireFrame, int]:
+        """Judged and written; when it was."""
         levels = command.current_ma, command.pulse_width_us, command.frequency_hz
-        return self._port.send(self._gate.judge(command.t_ns, StimRequest(command.channel, command.on, *levels)))
+        frame = self._port.send(self._gate.judge(command.t_ns, StimRequest(command.channel, command.on, *levels)))
+        return frame, time.monotonic_ns() if self._supervised is None else self._supervised.done_ns
 
-    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """What has arrived, observed."""
-        answers = self._port.poll(t_ns)
-        for answer in answers:
+    def poll(self, t_ns: int) -> None:
+        """What has arrived is observed."""
+        for answer in self._port.poll(t_ns):
             self._gate.observe(answer)
-        return answers
-
-    def close(self) -> None:
-        """Release the line."""
-        self._port.close()
 
 
 @contextmanager
-def line_of(session: Session, apart: bool) -> Iterator[OneProcess | StimulatorLine]:
+def line_of(session: Session, apart: bool) -> Iterator[StimulatorLine]:
     """An open line."""
     if not apart:
-        line = OneProcess(session)
-        yield line
-        line.close()
+        port = open_session(session.stimulator, session, time.monotonic_ns()).port
+        yield port
+        port.close()
         return
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -122,7 +115,8 @@ class Taken:
 def walked(session: Session, seconds: float, apart: bool) -> Taken:
     """Samples and commands in their time."""
     rng, taken, now = np.random.default_rng(1), Taken(), time.monotonic_ns
-    with line_of(session, apart) as line:
+    with line_of(session, apart) as port:
+        line = Loop(session, port)
         become_real_time()
         begin_ns = now()
         for number in range(round(seconds * 500)):
@@ -145,9 +139,9 @@ def walked(session: Session, seconds: float, apart: bool) -> Taken:
                 on, first = ms >= CYCLE_MS and ms % CYCLE_MS < ON_MS, ms % CYCLE_MS == 0
                 current_ma = (0.5 if first else 10.0) * on
                 before_ns = now()
-                frame = line.send(StimCommand(before_ns, 0, on, current_ma, 300.0 * on, 40.0 * on, 60))
+                frame, written_ns = line.send(StimCommand(before_ns, 0, on, current_ma, 300.0 * on, 40.0 * on, 60))
                 after_ns = now()
-                taken.commands.append(getattr(line, "done_ns", after_ns) - before_ns)
+                taken.commands.append(written_ns - before_ns)
                 taken.answered.append(after_ns - before_ns)
                 taken.unsent += not frame.identifier
     return taken
