@@ -10,7 +10,7 @@ some 15 ms, which noise hardly moves. Every bound was held against all real reco
 import math
 from typing import Final
 
-from fes.signals import G_MPS2, NS_PER_S, SHANK_SENSORS, ImuSample, Vector3
+from fes.signals import G_MPS2, NS_PER_S, ImuSample, Vector3
 
 BLOCK_NS: Final = 14_500_000  # a mean over at least this long: two samples at 100 Hz, eight at 500 Hz
 MOST_STEP_NS: Final = 40_000_000  # between two samples; what a longer gap hides cannot be added up
@@ -26,30 +26,36 @@ MOST_UNSEEN_MPS2: Final = (
 )
 MOST_UNSEEN_AXIS_MPS2: Final = 18.0  # likewise along one axis; real: 10.5
 MOST_UNTURNED: Final = 24  # moves of the force without one of the rate; real: 12
-MOST_UNTURNED_AXIS: Final = 100  # without one of this axis' rate, of a foot; real: 51
 JOLT_MPS2: Final = 2.0  # from one mean to the next: every contact with the ground
-MOST_SMOOTH_RAD: Final = 6.0  # turned without a jolt; real: 2.7
+MOST_SMOOTH_RAD: Final = 4.0  # turned without a jolt; real: 2.7
 RESTS_RADPS: Final = 0.6
 STEADY_MPS2: Final = 0.7  # along an axis, from the mean of the rest
-REST_NS: Final = 80_000_000
-LONG_REST_NS: Final = 300_000_000
+LONG_REST_NS: Final = 200_000_000
 GRAVITY_OFF_MPS2: Final = 1.2  # in a long rest; real: 0.62
-LEAST_TURN_RAD: Final = 1.0  # between two rests: a swing lies between them
-SHORTEST_NS: Final = 8 * NS_PER_S // 10
-LONGEST_NS: Final = 5 * NS_PER_S // 2  # between two rests: what is added up for longer drifts
-EXCESS_MPS2: Final = 1.3  # of the mean vertical force over gravity, in two strides in a row; real: 0.5
-EXCESS_ONCE_MPS2: Final = 1.6  # in one stride; real: 0.71
-LACK_MPS2: Final = 2.2  # below gravity, in two strides in a row; real: 1.9
-LACK_ONCE_MPS2: Final = 4.0  # below gravity: a rest that was none has been seen to lack 2.7
+FORCE_MEAN_S: Final = 0.6  # twice, one mean after the other: a stride's own forces are gone by then
+MEANS_NS: Final = 3 * NS_PER_S  # before the mean force counts
+MORE_MPS2: Final = 1.3  # than usual here, of the mean force; real: 0.99
+LESS_MPS2: Final = 1.6  # likewise; real: 1.28
+MORE_AT_FIRST_MPS2: Final = 1.5  # than gravity, until what is usual is known; real: 1.1
+LESS_AT_FIRST_MPS2: Final = 2.2  # likewise; real: 1.8
+WALKS_RADPS: Final = 0.5
+WALKED_NS: Final = 6 * NS_PER_S  # before the usual mean force counts as known …
+USUAL_FORCE_S: Final = 10.0  # … and over how long it is the mean
 HOP_NS: Final = 250_000_000
 HOPS: Final = 5  # 1.25 s: a stride of most
-USUAL_HOPS: Final = 12  # before an axis' usual range counts as known …
-FOLLOW: Final = 0.05  # … and a hop's share in it
+FOLLOW: Final = 0.05  # a hop's share in an axis' usual range
 MOVES_MPS2, MOVES_RADPS = 4.0, 1.5  # the usual range begins with the first that somebody moves by
 OTHERS_MOVE: Final = 0.5  # of their usual range, in the middle of all axes
-LEAST_SHARE: Final = 0.07  # of an axis' usual range against the other axes' share; real: 0.139, simulated turns 0.105
+LEAST_SHARE: Final = 0.02  # of its usual range: by that, and …
+LEAST: Final = (0.3, 0.3, 0.3, 0.1, 0.1, 0.1)  # … by so much at least (m/s², rad/s), an axis has moved
+LIVES: Final = 3.0  # times the least: an axis that is used to less is not judged
+STILL_WAY: Final = 4.0  # usual ranges that all axes together may go while one is still, however rarely it is …
+STILL_WAY_AT_FIRST: Final = 12.0  # … until they have gone so far:
+LEARNS_WAY, KNOWN_WAY = 40.0, 120.0  # two strides and six
+MOST_STILL: Final = 2.8  # times the farthest that they have gone so before; real: 2.1, virtual: 2.3
 FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
 NONE_SAME: Final = (False, False, False)
+Six = tuple[float, float, float, float, float, float]
 _AXES: Final = tuple(f"{triad}'s {axis} axis" for triad in ("accelerometer", "gyroscope") for axis in "xyz")
 
 
@@ -57,16 +63,15 @@ class Coherence:
     """One sensor's two triads against each other; what does not fit is told once, and anew when it goes on.
 
     Args:
-        sensor: its name; a shank turns about one axis alone, a foot about all three.
+        sensor: its name.
     """
 
     def __init__(self, sensor: str) -> None:
         self._sensor = sensor
-        self._is_foot = sensor not in SHANK_SENSORS
         self.not_ready = ""  # while a triad is frozen
         self._t_ns = 0
         self._force_repeats, self._rate_repeats = _Repeats(), _Repeats()
-        self._ranges = _Ranges()
+        self._stillness, self._mean_force = Stillness(), MeanForce()
         self._restart()
 
     def fault(self, sample: ImuSample) -> str:
@@ -77,7 +82,7 @@ class Coherence:
         self._t_ns = sample.t_sensor_ns
         if not 0 < step_ns <= MOST_STEP_NS:
             if not 0 < step_ns <= FORGET_NS:
-                self._ranges = _Ranges()
+                self._stillness, self._mean_force = Stillness(), MeanForce()
             self._restart()
             return ""
         (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
@@ -117,13 +122,10 @@ class Coherence:
     def _restart(self) -> None:
         """Begin as if nothing had come before."""
         self._clear_block()
-        self._ranges.restart()
+        self._stillness.restart()
+        self._mean_force.restart()
         self._before: Vector3 | None = None  # the last mean force
         self._resting_ns = 0
-        self._up: Vector3 | None = None  # gravity's way up, turned along since the last rest
-        self._upward_mps = self._turned_rad = 0.0  # since that rest: speed gained upward, and turned
-        self._since_rest_ns = 0
-        self._excess_before_mps2 = 0.0
 
     def _clear_block(self) -> None:
         self._x = self._y = self._z = self._p = self._q = self._r = 0.0
@@ -142,10 +144,9 @@ class Coherence:
         self._before = (x, y, z)
         if before is None:
             self._force, self._rate = (x, y, z), (p, q, r)
-            self._axis_force, self._axis_rate = [x, y, z], [p, q, r]
+            self._axis_force = [x, y, z]
             self._unseen_mps2, self._axis_unseen_mps2 = 0.0, [0.0, 0.0, 0.0]
-            self._unturned, self._axis_unturned = 0, [0, 0, 0]
-            self._smooth_rad = 0.0
+            self._unturned, self._smooth_rad = 0, 0.0
             return ""
         block_s = 1e-9 * block_ns
         if rate_radps > TURNS_RADPS:
@@ -161,35 +162,28 @@ class Coherence:
         jolt_x, jolt_y, jolt_z = x - before[0], y - before[1], z - before[2]
         if jolt_x * jolt_x + jolt_y * jolt_y + jolt_z * jolt_z > JOLT_MPS2 * JOLT_MPS2:
             self._smooth_rad = 0.0
-        if (axis := self._ranges.dead((x, y, z, p, q, r), block_ns)) >= 0:
-            return f"{self._sensor}'s {_AXES[axis]} hardly moves any more, the others move as ever: stuck?"
-        return self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), (p, q, r), rate_radps, block_ns)
+        if (axis := self._stillness.stuck((x, y, z, p, q, r), block_ns)) >= 0:
+            return f"{self._sensor} moves as ever, but its {_AXES[axis]} does not feel it: stuck?"
+        if felt_mps2 := self._mean_force.wrong((x, y, z), (p, q, r), rate_radps, block_ns):
+            self._stillness.restart()
+            felt = f"{felt_mps2:.1f} m/s² of gravity"
+            return f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
+        return self._dead((x, y, z), (p, q, r)) or self._at_rest((x, y, z), rate_radps, block_ns)
 
     def _dead(self, force: Vector3, rate: Vector3) -> str:
-        """Says so when one triad, or one of its axes, says nothing of what the other tells."""
+        """Says so when one triad says nothing of what the other tells, or both nothing of the ground."""
         moved = _apart(force, self._force, FORCE_MOVED_MPS2)
-        turned = _apart(rate, self._rate, RATE_MOVED_RADPS)
         if moved:
             self._force, self._unseen_mps2 = force, 0.0
             self._unturned += 1
-        if turned:
+        if _apart(rate, self._rate, RATE_MOVED_RADPS):
             self._rate, self._unturned = rate, 0
-        unseen, unturned, axis_force, axis_rate = (
-            self._axis_unseen_mps2, self._axis_unturned, self._axis_force, self._axis_rate
-        )  # fmt: skip
-        axis_unseen = axis_unturned = -1
-        for axis in (2, 1, 0):
-            if not -FORCE_MOVED_MPS2 <= force[axis] - axis_force[axis] <= FORCE_MOVED_MPS2:
-                axis_force[axis], unseen[axis] = force[axis], 0.0
+        sensor, unseen, stuck = self._sensor, self._axis_unseen_mps2, -1
+        for axis, (now, then) in enumerate(zip(force, self._axis_force, strict=True)):
+            if not -FORCE_MOVED_MPS2 <= now - then <= FORCE_MOVED_MPS2:
+                self._axis_force[axis], unseen[axis] = now, 0.0
             elif unseen[axis] > MOST_UNSEEN_AXIS_MPS2:
-                axis_unseen = axis
-            if not -RATE_MOVED_RADPS <= rate[axis] - axis_rate[axis] <= RATE_MOVED_RADPS:
-                axis_rate[axis], unturned[axis] = rate[axis], 0
-            elif moved:
-                unturned[axis] += 1
-                if unturned[axis] > MOST_UNTURNED_AXIS:
-                    axis_unturned = axis
-        sensor = self._sensor
+                unseen[axis], stuck = 0.0, axis
         if self._unseen_mps2 > MOST_UNSEEN_MPS2:
             self._unseen_mps2 = 0.0
             return f"{sensor} turns, but its accelerometer does not feel it: dead, or the gyroscope stuck?"
@@ -199,19 +193,10 @@ class Coherence:
         if self._smooth_rad > MOST_SMOOTH_RAD:
             self._smooth_rad = 0.0
             return f"{sensor} turns and turns without ever touching the ground: does it dangle?"
-        if axis_unseen >= 0:
-            unseen[axis_unseen] = 0.0
-            return f"{sensor} turns, but its {_AXES[axis_unseen]} does not feel it: stuck?"
-        if self._is_foot and axis_unturned >= 0:
-            unturned[axis_unturned] = 0
-            return f"{sensor} is moved, but its {_AXES[3 + axis_unturned]} does not feel it: stuck?"
-        return ""
+        return f"{sensor} turns, but its {_AXES[stuck]} does not feel it: stuck?" if stuck >= 0 else ""
 
-    def _gravity(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> str:
-        """Says so when the force at rest is not gravity, or from one rest to the next adds up to another one."""
-        if self._up is not None:
-            self._turn_along(self._up, force, rate, rate_radps, 1e-9 * block_ns)
-            self._since_rest_ns += block_ns
+    def _at_rest(self, force: Vector3, rate_radps: float, block_ns: int) -> str:
+        """Says so when the force of a long rest is not gravity."""
         x, y, z = force
         resting_ns, self._resting_ns = self._resting_ns, 0
         if rate_radps >= RESTS_RADPS:
@@ -220,57 +205,18 @@ class Coherence:
             self._rest_x, self._rest_y, self._rest_z, self._rests = x, y, z, 1
             self._resting_ns = block_ns
             return ""
-        count = self._rests
-        mean = (self._rest_x / count, self._rest_y / count, self._rest_z / count)
+        share = 1.0 / self._rests
+        mean = (share * self._rest_x, share * self._rest_y, share * self._rest_z)
         if _apart(force, mean, STEADY_MPS2):
             return ""
-        self._rest_x, self._rest_y, self._rest_z, self._rests = (
-            self._rest_x + x,
-            self._rest_y + y,
-            self._rest_z + z,
-            count + 1,
-        )
+        self._rest_x, self._rest_y, self._rest_z = self._rest_x + x, self._rest_y + y, self._rest_z + z
+        self._rests += 1
         self._resting_ns = resting_ns + block_ns
-        if self._resting_ns < REST_NS:
+        size_mps2 = _size(mean)
+        if self._resting_ns <= LONG_REST_NS or abs(size_mps2 - G_MPS2) <= GRAVITY_OFF_MPS2:
             return ""
-        return self._rested(mean)
-
-    def _turn_along(self, up: Vector3, force: Vector3, rate: Vector3, rate_radps: float, block_s: float) -> None:
-        """Turn gravity with the sensor, and add up what of the force is more than gravity along it."""
-        (u, v, w), (p, q, r) = up, rate
-        a, b, c = v * r - w * q, w * p - u * r, u * q - v * p
-        half = 0.5 * block_s
-        a, b, c = a + half * (b * r - c * q), b + half * (c * p - a * r), c + half * (a * q - b * p)
-        u, v, w = u + block_s * a, v + block_s * b, w + block_s * c
-        share = 1.0 / math.sqrt(u * u + v * v + w * w)
-        u, v, w = share * u, share * v, share * w
-        along = force[0] * (u + up[0]) + force[1] * (v + up[1]) + force[2] * (w + up[2])
-        self._upward_mps += block_s * (0.5 * along - G_MPS2)
-        self._turned_rad += block_s * rate_radps
-        self._up = (u, v, w)
-
-    def _rested(self, mean: Vector3) -> str:
-        size_mps2 = math.sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
-        fault = ""
-        if self._up is not None and self._turned_rad > LEAST_TURN_RAD and self._since_rest_ns <= LONGEST_NS:
-            fault = self._excess(self._upward_mps / (1e-9 * max(self._since_rest_ns, SHORTEST_NS)))
-        elif self._resting_ns > LONG_REST_NS and abs(size_mps2 - G_MPS2) > GRAVITY_OFF_MPS2:
-            fault = f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
-        if size_mps2 > 0.0:
-            self._up = (mean[0] / size_mps2, mean[1] / size_mps2, mean[2] / size_mps2)
-            self._upward_mps = self._turned_rad = 0.0
-            self._since_rest_ns = 0
-        return fault
-
-    def _excess(self, excess_mps2: float) -> str:
-        """A stride's mean vertical force over gravity."""
-        before_mps2, self._excess_before_mps2 = self._excess_before_mps2, excess_mps2
-        more = excess_mps2 > EXCESS_ONCE_MPS2 or min(excess_mps2, before_mps2) > EXCESS_MPS2
-        less = excess_mps2 < -LACK_ONCE_MPS2 or max(excess_mps2, before_mps2) < -LACK_MPS2
-        if not more and not less:
-            return ""
-        felt = f"{G_MPS2 + excess_mps2:.1f} m/s² of gravity in a stride"
-        return f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
+        self._resting_ns = 0
+        return f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
 
 
 class _Repeats:
@@ -318,52 +264,153 @@ class _Repeats:
         return -1
 
 
-class _Ranges:
-    """How far each of six axes goes in 1.25 s, against what is usual for it here.
+class MeanForce:
+    """The mean force, turned along with the gyroscope: gravity and no more, for whoever walks ends as fast as he began.
 
-    One that hardly moves while the others move as usual is dead, whatever noise it has.
+    A force that is scaled changes its size; a rate that is scaled, or an axis of either that is stuck, turns the mean
+    where the force does not go, and it shrinks, or grows where the force of a swing is taken for another direction's.
+    """
+
+    def __init__(self) -> None:
+        self._usual_mps2, self._walked_ns = G_MPS2, 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with the next force; what is usual stays."""
+        self._once: Vector3 | None = None
+        self._ns = 0
+
+    def wrong(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> float:
+        """Take in means of a block; how large the mean force is (m/s²) when it cannot be so, else 0."""
+        block_s = 1e-9 * block_ns
+        share, (x, y, z) = block_s / FORCE_MEAN_S, force
+        if self._once is None:
+            size = self._usual_mps2 / max(_size(force), 1e-6)
+            self._once = self._twice = (size * x, size * y, size * z)
+        p, q, r = block_s * rate[0], block_s * rate[1], block_s * rate[2]
+        pq, qr, rp = 0.5 * p * q, 0.5 * q * r, 0.5 * r * p
+        pp, qq, rr = 0.5 * p * p, 0.5 * q * q, 0.5 * r * r
+        a, b, c = 1.0 - qq - rr, 1.0 - rr - pp, 1.0 - pp - qq
+        # what stands still turns backward in the sensor; to the second order of the angle
+        u, v, w = self._once
+        u, v, w = (
+            a * u + (pq + r) * v + (rp - q) * w,
+            (pq - r) * u + b * v + (qr + p) * w,
+            (rp + q) * u + (qr - p) * v + c * w,
+        )
+        u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
+        self._once = (u, v, w)
+        x, y, z = self._twice
+        x, y, z = (
+            a * x + (pq + r) * y + (rp - q) * z,
+            (pq - r) * x + b * y + (qr + p) * z,
+            (rp + q) * x + (qr - p) * y + c * z,
+        )
+        x, y, z = x + share * (u - x), y + share * (v - y), z + share * (w - z)
+        self._twice = (x, y, z)
+        self._ns += block_ns
+        if self._ns < MEANS_NS:
+            return 0.0
+        size_mps2 = math.sqrt(x * x + y * y + z * z)
+        off_mps2 = size_mps2 - self._usual_mps2
+        known = self._walked_ns >= WALKED_NS
+        if known:
+            wrong = not -LESS_MPS2 <= off_mps2 <= MORE_MPS2
+        else:
+            wrong = not -LESS_AT_FIRST_MPS2 <= size_mps2 - G_MPS2 <= MORE_AT_FIRST_MPS2
+        if wrong:
+            self.restart()
+            return max(size_mps2, 1e-3)
+        if rate_radps > WALKS_RADPS:
+            self._walked_ns += block_ns
+            self._usual_mps2 += block_s / USUAL_FORCE_S * off_mps2
+        return 0.0
+
+
+class Stillness:
+    """How far the other axes go while one is still, against the farthest that they have gone so before.
+
+    In a sound sensor no axis is still for long while the others move, in stance as in swing: as long as the foot rests
+    all do. How long is a person's own; ways are counted in usual ranges, so that no axis and no speed counts for more.
     """
 
     def __init__(self) -> None:
         self._usual: list[float] = []
-        self._known = 0
+        self._least = list(LEAST)
+        self._farthest = [0.0] * 6
+        self._gone = 0.0  # by all axes so far
         self.restart()
 
     def restart(self) -> None:
         """Look at a stretch of its own from now on; what is usual stays."""
         self._hops: list[tuple[list[float], list[float]]] = []
-        self._means: list[tuple[float, ...]] = []
+        self._means: list[Six] = []
         self._ns = 0
+        self._at: list[float] = []  # each axis where it last moved to, …
+        self._since = [math.inf] * 6  # … and how far all had gone then; nothing is learnt of the first stretch …
+        self._until = [self._may_go(axis) for axis in range(6)]  # … and how far they may go
 
-    def dead(self, means: tuple[float, ...], block_ns: int) -> int:
-        """Take in means (6,) of force and rate; the number of a dead axis, -1 for none."""
+    def stuck(self, means: Six, block_ns: int) -> int:
+        """Take in means of force and rate; the number of an axis that is stuck, -1 for none."""
         self._means.append(means)
         self._ns += block_ns
-        if self._ns < HOP_NS:
+        if self._ns >= HOP_NS:
+            self._hop()
+        if not self._usual or not self._at:
+            self._at = list(means)
             return -1
+        at, until, gone, stuck, moved = self._at, self._until, self._gone, -1, []
+        for axis, least in enumerate(self._least):
+            if not -least <= means[axis] - at[axis] <= least:
+                moved.append(axis)
+            elif gone > until[axis]:
+                stuck = axis
+        if stuck >= 0:
+            self.restart()  # its stretch is none to learn from; told anew when it goes on
+        elif moved:
+            self._move(moved, means)
+        return stuck
+
+    def _move(self, moved: list[int], means: Six) -> None:
+        before = self._gone
+        for axis in moved:
+            share = abs(means[axis] - self._at[axis]) / self._usual[axis]
+            self._gone += share if share < 1.0 else 1.0
+            self._at[axis] = means[axis]
+        for axis in moved:
+            self._farthest[axis] = max(self._farthest[axis], before - self._since[axis])
+            self._since[axis] = self._gone
+            self._until[axis] = self._may_go(axis)
+
+    def _may_go(self, axis: int) -> float:
+        """How far all axes may have gone before this one, which has just moved, moves again."""
+        if not self._usual or self._usual[axis] < LIVES * LEAST[axis]:
+            return math.inf
+        rarely = STILL_WAY if self._gone > KNOWN_WAY else STILL_WAY_AT_FIRST
+        return max(self._gone + MOST_STILL * max(self._farthest[axis], rarely), LEARNS_WAY)
+
+    def _hop(self) -> None:
+        """What an axis goes through in a stride is learnt as long as most axes move."""
         axes = list(zip(*self._means, strict=True))
         self._hops = [*self._hops[1 - HOPS :], ([*map(min, axes)], [*map(max, axes)])]
         self._means, self._ns = [], 0
-        return self._judge() if len(self._hops) == HOPS else -1
-
-    def _judge(self) -> int:
+        if len(self._hops) < HOPS:
+            return
         least, most = zip(*self._hops, strict=True)
         ranges = [high - low for high, low in zip(map(max, *most), map(min, *least), strict=True)]
         if not self._usual:
-            if max(ranges[:3]) > MOVES_MPS2 and max(ranges[3:]) > MOVES_RADPS:
-                self._usual = ranges
-            return -1
-        shares = [now / max(usual, 1e-6) for now, usual in zip(ranges, self._usual, strict=True)]
-        ranked = sorted(shares)
-        middle = 0.5 * (ranked[2] + ranked[3])
-        if middle <= OTHERS_MOVE:
-            return -1
-        if self._known >= USUAL_HOPS and ranked[0] < LEAST_SHARE * middle:
-            self._hops = []
-            return shares.index(ranked[0])
-        self._known += 1
-        self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
-        return -1
+            if max(ranges[:3]) <= MOVES_MPS2 or max(ranges[3:]) <= MOVES_RADPS:
+                return
+            self._usual = [max(each, 1e-6) for each in ranges]
+        else:
+            ranked = sorted(now / usual for now, usual in zip(ranges, self._usual, strict=True))
+            if 0.5 * (ranked[2] + ranked[3]) > OTHERS_MOVE:
+                self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
+        self._least = [max(LEAST_SHARE * usual, least) for usual, least in zip(self._usual, LEAST, strict=True)]
+
+
+def _size(a: Vector3) -> float:
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 def _apart(a: Vector3, b: Vector3, most: float) -> bool:
