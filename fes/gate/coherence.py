@@ -30,8 +30,13 @@ JOLT_MPS2: Final = 2.0  # from one mean to the next: every contact with the grou
 MOST_SMOOTH_RAD: Final = 4.0  # turned without a jolt; real: 2.7
 RESTS_RADPS: Final = 0.6
 STEADY_MPS2: Final = 0.7  # along an axis, from the mean of the rest
+REST_NS: Final = 80_000_000
 LONG_REST_NS: Final = 200_000_000
 GRAVITY_OFF_MPS2: Final = 1.2  # in a long rest; real: 0.62
+LEAST_TURN_RAD: Final = 1.0  # between two rests: a swing lies between them
+SHORTEST_NS: Final = 8 * NS_PER_S // 10
+LONGEST_NS: Final = 5 * NS_PER_S // 2  # between two rests: what is added up for longer drifts
+EXCESS_MPS2: Final = 1.6  # of a stride's mean vertical force over gravity; real: 0.71
 FORCE_MEAN_S: Final = 0.6  # twice, one mean after the other: a stride's own forces are gone by then
 MEANS_NS: Final = 3 * NS_PER_S  # before the mean force counts
 MORE_MPS2: Final = 1.3  # than usual here, of the mean force; real: 0.99
@@ -126,6 +131,9 @@ class Coherence:
         self._mean_force.restart()
         self._before: Vector3 | None = None  # the last mean force
         self._resting_ns = 0
+        self._up: Vector3 | None = None  # gravity's way up, turned along since the last rest
+        self._upward_mps = self._turned_rad = 0.0  # since that rest: speed gained upward, and turned
+        self._since_rest_ns = 0
 
     def _clear_block(self) -> None:
         self._x = self._y = self._z = self._p = self._q = self._r = 0.0
@@ -168,7 +176,7 @@ class Coherence:
             self._stillness.restart()
             felt = f"{felt_mps2:.1f} m/s² of gravity"
             return f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
-        return self._dead((x, y, z), (p, q, r)) or self._at_rest((x, y, z), rate_radps, block_ns)
+        return self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), (p, q, r), rate_radps, block_ns)
 
     def _dead(self, force: Vector3, rate: Vector3) -> str:
         """Says so when one triad says nothing of what the other tells, or both nothing of the ground."""
@@ -195,8 +203,13 @@ class Coherence:
             return f"{sensor} turns and turns without ever touching the ground: does it dangle?"
         return f"{sensor} turns, but its {_AXES[stuck]} does not feel it: stuck?" if stuck >= 0 else ""
 
-    def _at_rest(self, force: Vector3, rate_radps: float, block_ns: int) -> str:
-        """Says so when the force of a long rest is not gravity."""
+    def _gravity(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> str:
+        """Says so when the force at rest is not gravity, or from one rest to the next adds up to more."""
+        if self._up is not None:
+            self._turn_along(self._up, force, rate, rate_radps, 1e-9 * block_ns)
+            self._since_rest_ns += block_ns
+            if self._since_rest_ns > LONGEST_NS:
+                self._up = None
         x, y, z = force
         resting_ns, self._resting_ns = self._resting_ns, 0
         if rate_radps >= RESTS_RADPS:
@@ -212,11 +225,37 @@ class Coherence:
         self._rest_x, self._rest_y, self._rest_z = self._rest_x + x, self._rest_y + y, self._rest_z + z
         self._rests += 1
         self._resting_ns = resting_ns + block_ns
+        return self._rested(mean) if self._resting_ns >= REST_NS else ""
+
+    def _turn_along(self, up: Vector3, force: Vector3, rate: Vector3, rate_radps: float, block_s: float) -> None:
+        """Turn gravity with the sensor, and add up what of the force is more than gravity along it."""
+        (u, v, w), (p, q, r) = up, rate
+        a, b, c = v * r - w * q, w * p - u * r, u * q - v * p
+        half = 0.5 * block_s
+        a, b, c = a + half * (b * r - c * q), b + half * (c * p - a * r), c + half * (a * q - b * p)
+        u, v, w = u + block_s * a, v + block_s * b, w + block_s * c
+        share = 1.0 / math.sqrt(u * u + v * v + w * w)
+        u, v, w = share * u, share * v, share * w
+        along = force[0] * (u + up[0]) + force[1] * (v + up[1]) + force[2] * (w + up[2])
+        self._upward_mps += block_s * (0.5 * along - G_MPS2)
+        self._turned_rad += block_s * rate_radps
+        self._up = (u, v, w)
+
+    def _rested(self, mean: Vector3) -> str:
         size_mps2 = _size(mean)
-        if self._resting_ns <= LONG_REST_NS or abs(size_mps2 - G_MPS2) <= GRAVITY_OFF_MPS2:
-            return ""
-        self._resting_ns = 0
-        return f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
+        fault = ""
+        if self._up is not None and self._turned_rad > LEAST_TURN_RAD:
+            excess_mps2 = self._upward_mps / (1e-9 * max(self._since_rest_ns, SHORTEST_NS))
+            if excess_mps2 > EXCESS_MPS2:
+                felt = f"{G_MPS2 + excess_mps2:.1f} m/s² of gravity in a stride"
+                fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
+        elif self._resting_ns > LONG_REST_NS and abs(size_mps2 - G_MPS2) > GRAVITY_OFF_MPS2:
+            fault = f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
+        if size_mps2 > 0.0:
+            self._up = (mean[0] / size_mps2, mean[1] / size_mps2, mean[2] / size_mps2)
+            self._upward_mps = self._turned_rad = 0.0
+            self._since_rest_ns = 0
+        return fault
 
 
 class _Repeats:

@@ -10,6 +10,7 @@ from gate_bench import MS, Bench
 
 from fes.gate.coherence import (
     BLOCK_NS,
+    EXCESS_MPS2,
     GRAVITY_OFF_MPS2,
     LESS_AT_FIRST_MPS2,
     LESS_MPS2,
@@ -261,6 +262,39 @@ def test_gravity_at_a_long_rest() -> None:
         said = feed(Coherence("left_foot"), [alive(k, z) for k in range(40)])
         assert any("is it scaled?" in each for each in said) is tells, z
         assert not any(said[:14]), "not before 0.2 s"
+
+
+def between_rests(extra_mps2: float, turning_blocks: int = 80) -> list[Six]:
+    """A rest, a turn about the force's own direction with more or less of it, and a jolt."""
+    turn = [
+        (1e-6 * k, 3.0 * (k % 2), G_MPS2 + extra_mps2, 0.5 * (k // 5 % 2), 0.5 * (k // 7 % 2), 2.0)
+        for k in range(turning_blocks)
+    ]
+    return [*(alive(k) for k in range(10)), *turn, *(alive(k) for k in range(10))]
+
+
+@pytest.mark.requirement("SR-10")
+@pytest.mark.parametrize(
+    ("extra_mps2", "blocks", "tells"),
+    [(EXCESS_MPS2 + 0.6, 80, True), (EXCESS_MPS2 - 0.3, 80, False), (-EXCESS_MPS2, 80, False), (3.0, 200, False)],
+)
+def test_what_is_more_than_gravity_from_rest_to_rest(extra_mps2: float, blocks: int, tells: bool) -> None:
+    """What took too long is not judged."""
+    said = feed(Coherence("left_foot"), between_rests(extra_mps2, blocks))
+    assert any("of gravity in a stride" in each for each in said) is tells
+
+
+@pytest.mark.requirement("SR-10")
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_force_that_is_scaled_and_never_rests_is_told(factor: float) -> None:
+    def change(v: Six, t_s: float) -> Six:
+        x, y, z, *_ = v
+        more = factor if t_s >= 20.0 else 1.0
+        return (more * x, more * y, more * z, v[3], v[4], v[5] + 0.8 * (-1) ** round(50.0 * t_s))
+
+    said, after_s = walk(change, seconds=24.0)
+    assert "do not fit" in said
+    assert 20.0 < after_s < 21.5
 
 
 def felt(judge: MeanForce, extra_mps2: float, rate_radps: float, seconds: float) -> list[bool]:
