@@ -95,6 +95,7 @@ bench-figures: $(VENV)/dev.stamp
 	$(BIN)/python benchmarks/stroke_treadmill.py
 	$(BIN)/python benchmarks/stride_length.py
 	$(BIN)/python benchmarks/clearance.py
+	$(BIN)/python benchmarks/roll.py
 	$(BIN)/python benchmarks/inclines.py
 	$(BIN)/python benchmarks/events.py
 	$(BIN)/python benchmarks/zero_velocity.py
