@@ -414,7 +414,8 @@ def named(label: str) -> str:
 
 HEAD = (
     "| scenario | method | µC a step | in the band | after stride 10 | stumbles (from stride 6 on) | drags (from "
-    "stride 6 on) | T5 | in the band within 6 strides | self-stops | over a bound | latched | worse than fixed | named falsely per 1,000 | landed within 5° of "
+    "stride 6 on) | T5 | in the band within 6 strides | self-stops | over a bound | latched | worse than fixed | "
+    "named falsely per 1,000 | landed within 5° of "
     "level | push-off lost |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
@@ -542,7 +543,8 @@ def said(one: Result) -> str:
     flags = f"{' STOPPED' if one.self_stopped else ''}{f' LATCHED {one.latched}' if one.latched else ''}"
     return (
         f"{fmean(one.inside):.2f} c{one.converged} s{sum(one.stumbles)} d{sum(one.drags)} t{one.put_back} "
-        f"{one.charge_uc:.0f} µC low {one.low_after} named {one.named_after} false {dict(one.named_falsely) or 0} {one.end_ma:g} mA "
+        f"{one.charge_uc:.0f} µC low {one.low_after} named {one.named_after} "
+        f"false {dict(one.named_falsely) or 0} {one.end_ma:g} mA "
         f"roll {fmean(one.rolled or [0]):.2f} push {one.push_off_lost:.2f}{flags}"
     )
 
