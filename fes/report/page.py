@@ -14,6 +14,7 @@ from fes.analysis.parameters.gait import GaitParameters
 from fes.report.figures import strides
 from fes.report.figures.space import ground_figures, space_figure
 from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
+from fes.report.figures.swing import swing_figures
 from fes.report.figures.timeseries import chart_data
 from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
@@ -113,6 +114,7 @@ def render_report(
         each_figures=trusted(strides.stride_figures(data, flags)),
         phase_figures=trusted(strides.phase_figures(data, flags)),
         stimulation_figures=trusted(stimulation_figures(data)),
+        swing_figures=trusted(swing_figures(data)),
         tuning_figures=trusted(tuning_figures(data)),
         latency_figure=trusted([figure for figure in [latency_figure(data)] if figure]),
         phase_colors=strides.PHASE_COLORS,
