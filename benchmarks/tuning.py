@@ -215,7 +215,7 @@ class NoFaults(FaultWatch):
 class NoMemory(SpeedMemory):
     """Remembers nothing."""
 
-    def known(self) -> float | None:
+    def remembered(self) -> float | None:
         return None
 
 

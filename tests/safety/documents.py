@@ -164,7 +164,7 @@ acceptable.
 def locked(name: str) -> dict[str, str]:
     """Package → version of a lock file."""
     text = (ROOT / name).read_text(encoding="utf-8")
-    return dict(re.findall(r"^([A-Za-z0-9._-]+)==([^\s;\\]+)", text, re.MULTILINE))
+    return dict(re.findall(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^\s;\\]+)", text, re.MULTILINE))
 
 
 def licence(package: str) -> str:

@@ -42,7 +42,7 @@ class SpeedMemory:
         """Something has changed that speed did not: what was right is so no longer."""
         self._strength.clear()
 
-    def known(self) -> float | None:
+    def remembered(self) -> float | None:
         """The drive that is right at the speed walked now, None where nothing near was walked."""
         at = self._walked_mps / STEP_MPS
         below = max((key for key in self._strength if key <= at), default=None)

@@ -99,7 +99,7 @@ CLIMBED: Final = 0.08  # of the bound: less has not been tried
 EXCITATION: Final = 0.02  # of the bound, 0.5 to 1 mA: too little to be felt as a change
 STILL: Final = 4  # strides without a change, before one is made for the sake of knowing
 UNKNOWN: Final = 0.5  # of a slope's value is its standard deviation
-TOLD_EVERY: Final = 10  # strides, what was identified
+REPORTED_EVERY: Final = 10  # strides, what was identified
 
 
 class Tuner:
@@ -249,7 +249,7 @@ class Tuner:
             return self._still_returning(t_ns)
         if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
             return report
-        known = self.memory.known() if other_speed else None
+        known = self.memory.remembered() if other_speed else None
         report = self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
         return self._with_fault(t_ns, stride, fault, report) if fault else report
 
@@ -447,7 +447,7 @@ class Tuner:
 
     def _identified(self, t_ns: int) -> TuningReport | None:
         """What is known of this foot's answer, now and then."""
-        if self.model.strides % TOLD_EVERY:
+        if self.model.strides % REPORTED_EVERY:
             return None
         return self._report(t_ns, "identified", self.identified())
 
