@@ -14,6 +14,7 @@ from fes.config import Session as Settings
 from fes.signals import OperatorAct, OperatorAction
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, AnswerMonitor
+from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.session import Tuners
 from fes.stimulation.tuning.targets import PITCH as TOE_UP
 from fes.stimulation.tuning.targets import Measure, Reading
@@ -209,12 +210,12 @@ def test_an_electrode_that_falls_off_in_a_good_walk(method: str) -> None:
     assert most <= 1.5 * strength(done.parameters[at])
 
 
-def test_after_a_roll_back_it_tries_once_more_and_then_stops() -> None:
+def test_what_has_come_off_is_named_and_the_tuning_stops_before_long() -> None:
     done = begun(Foot(slope=1.2)).walk(6, stimulated=False).walk(10)  # a climb, with more to come …
     assert strength(done.tuner.parameters) > 1.1 * strength(done.tuner.start)
     done.foot.quality = 0.0
-    done.walk(60)
-    assert done.said("has got worse") or done.said("most likely the electrodes")
+    done.walk(20)
+    assert done.said("most likely the electrodes")
     assert len(done.said("look at the electrodes; tuning has stopped")) == 1
     assert strength(done.tuner.parameters) <= strength(done.tuner.start)
 
@@ -259,12 +260,12 @@ def test_not_reached_below_the_bound_is_not_said_to_be_at_it() -> None:
     assert "is not reached below the upper bound" in hints[0]
 
 
-@pytest.mark.parametrize(("drives", "lost"), [([1.4] * 3, True), ([1.2] * 3, False), ([1.2, 1.2, 1.4], False)])
+@pytest.mark.parametrize(("drives", "lost"), [([0.9] * 3, True), ([0.8] * 3, False), ([0.9, 0.9, 0.8], False)])
 @pytest.mark.parametrize(("level", "bare"), [(-0.5, True), (-0.2, False)])
 def test_a_foot_among_the_strides_without_stimulation_is_lost_once_more_did_not_help(
     drives: list[float], lost: bool, level: float, bare: bool
 ) -> None:
-    answering, own = AnswerMonitor(4.0 / 3.0), BurstParameters.for_channel(channel())
+    answering, model, own = AnswerMonitor(), ResponseModel(), BurstParameters.for_channel(channel())
 
     def reading(at: float) -> Reading:
         band = Band(**PITCH)
@@ -273,6 +274,6 @@ def test_a_foot_among_the_strides_without_stimulation_is_lost_once_more_did_not_
     for _ in range(3):
         answering.add_bare(reading(-0.48))
     for _ in range(8):
-        assert answering.stride(reading(0.1), {TOE_UP: 1.0}, own, spent=False) == ""
-    said = [answering.stride(reading(level), {TOE_UP: drive}, own, spent=False) for drive in drives]
+        assert answering.stride(reading(0.1), {TOE_UP: 0.7}, own, model, spent=False) == ""
+    said = [answering.stride(reading(level), {TOE_UP: drive}, own, model, spent=False) for drive in drives]
     assert said == ["", "", LIKE_NONE if lost and bare else ""]

@@ -60,7 +60,11 @@ def drags_at_the_end(done: Walk) -> int:
 
 
 def within_bounds(done: Walk) -> bool:
-    return all(10.0 <= report.after.current_ma <= 40.0 for report in done.reports)
+    tuned = session_of(VirtualPatient(PATIENT).geometry["right_foot"], "run-to-run").channels[0].tuning
+    assert tuned is not None
+    assert tuned.bounds is not None
+    bounds = tuned.bounds.current_ma
+    return all(bounds.low <= report.after.current_ma <= bounds.high for report in done.reports)
 
 
 def test_a_drop_foot_patient_drags_without_and_clears_with_it(calibration: FootCalibration) -> None:

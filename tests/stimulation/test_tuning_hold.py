@@ -11,13 +11,15 @@ from tuning_plant import BOUNDS, channel, charge_of, stride, tuning
 from fes.config import Band
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import Demand
-from fes.stimulation.tuning.intensity import WEAKEST_HOLD, Intensity, Zones
+from fes.stimulation.tuning.guardrails import strongest_drive
+from fes.stimulation.tuning.shape import WEAKEST_HOLD, BurstShape, Zones
 from fes.stimulation.tuning.targets import PITCH, Measure
 from fes.stimulation.tuning.tuner import Tuner, TuningReport
 
 PITCH_BAND = {"low": 4.0, "high": 25.0}
 OWN_US = 300.0
 ZONES = Zones(7, 14)
+MOST = BOUNDS["current_ma"]["high"] / 30.0  # drive at the bound, of the session's
 
 
 def foot(strides: int, pitch_per_uc: float, **changes: Any) -> tuple[Tuner, list[float], list[TuningReport]]:
@@ -64,17 +66,20 @@ def test_one_level_without_a_target_at_contact() -> None:
 
 
 def demands(toe: float, pitch: float) -> tuple[Demand, ...]:
-    """Errors of both, in bands; the one that asks for most first."""
+    """What both are short of, as drives; the one that asks for most first."""
+    clearance = Measure("toe clearance", 0.02, Band(low=0.012, high=0.035), 1e3, "mm")
+    angle = Measure(PITCH, 12.0, Band(low=4.0, high=25.0), 1.0, "°")
     both = (
-        Demand(Measure("toe clearance", 0.02, Band(low=0.012, high=0.035), 1e3, "mm"), 0.4, toe, 2.0, 0.4, 0.1),
-        Demand(Measure(PITCH, 12.0, Band(low=4.0, high=25.0), 1.0, "°"), 0.4, pitch, 2.0, 0.2, 0.05),
+        Demand(clearance, 0.4, 2.0 * toe, 0.4, 0.1, 0.5, 0.5 + toe, 0.9),
+        Demand(angle, 0.4, 2.0 * pitch, 0.2, 0.05, 0.5, 0.5 + pitch, 0.9),
     )
     return tuple(sorted(both, key=lambda demand: -demand.step))
 
 
 def answered(base: BurstParameters, toe: float, pitch: float, **bounds: Any) -> BurstParameters:
     asked = tuning(pitch_at_contact_deg=PITCH_BAND, bounds=BOUNDS | bounds)
-    return Intensity(channel(asked), asked).answered(base, demands(toe, pitch), ZONES, 1.0)
+    own = channel(asked)
+    return BurstShape(own, asked, strongest_drive(own, asked)).answered(base, demands(toe, pitch), ZONES, 1.0)
 
 
 def held(hold_us: float, current_ma: float = 30.0) -> BurstParameters:
@@ -85,7 +90,7 @@ def held(hold_us: float, current_ma: float = 30.0) -> BurstParameters:
 
 def test_a_stronger_current_leaves_the_hold_as_strong_as_it_was() -> None:
     before = held(240.0)
-    after = answered(before, 0.2, 0.0)
+    after = answered(before, 0.1, 0.0)
     assert after.current_ma > before.current_ma
     assert after.current_ma * after.widths_us[-1] == pytest.approx(before.current_ma * before.widths_us[-1])
 
@@ -97,9 +102,9 @@ def test_a_current_that_cannot_grow_weakens_no_hold() -> None:
 
 def test_contact_asks_the_hold_first_and_the_current_when_that_is_full() -> None:
     before = held(240.0)
-    after = answered(before, 0.0, 0.2)
+    after = answered(before, 0.0, 0.1)
     assert after.current_ma == before.current_ma
-    assert after.widths_us[-1] == pytest.approx(240.0 + OWN_US * 0.6 * 0.2 / 2.0)
-    full = answered(held(OWN_US), 0.0, 0.2)
+    assert after.widths_us[-1] == pytest.approx(240.0 + OWN_US * MOST * 0.6 * 0.1)
+    full = answered(held(OWN_US), 0.0, 0.1)
     assert full.current_ma > 30.0
     assert set(full.widths_us) == {OWN_US}

@@ -10,7 +10,7 @@ import pytest
 from tuning_plant import channel, stride, tuning
 
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.intensity import Zones, next_profile, zones_of
+from fes.stimulation.tuning.shape import Zones, missing_drives, next_profile, zones_of
 from fes.stimulation.tuning.targets import (
     GroundWatch,
     Reading,
@@ -78,22 +78,49 @@ def test_interpolation_holds_its_ends() -> None:
 def test_the_swing_is_parted_where_the_toe_has_passed_low() -> None:
     times = swing_times(stride(0, 0.02))  # pre-swing 0.4 s, then swing 0.5 s
     assert times is not None
-    assert times[0] == pytest.approx(0.4 + 0.8 * 0.5)
-    assert times[1] == pytest.approx(0.9)
+    assert times == pytest.approx((0.4, 0.4 + 0.8 * 0.5, 0.9))
+    assert times.share(0.65) == pytest.approx(0.5)
     assert swing_times(stride(0, 0.02, t_swing_ns=None)) is None
-    zones = zones_of(*times, 0.2, 30)
+    zones = zones_of(times, 0.2, 0.15, 30)
     assert (zones.middle, zones.reached) == (9, 14)  # mid-swing's pulses come 150 ms before; contact is at 0.7 s
-    assert zones_of(*times, 5.0, 30) == Zones(0, 0)
+    assert zones_of(times, 0.2, 0.05, 30).middle == 11  # a foot that answers sooner
+    late = zones_of(times, 5.0, 0.15, 30)
+    assert (late.middle, late.reached) == (0, 0)
 
 
-def test_each_part_of_the_profile_follows_its_own_measure() -> None:
+def test_each_bin_answers_for_the_samples_that_its_pulses_reach() -> None:
+    zones = Zones(6, 12, 0.1)
+    times_s = [0.02 * k for k in range(20, 40)]  # 0.4 … 0.78 s
+    missing = [0.3 if 0.5 <= t < 0.53 else -0.1 for t in times_s]
+    for delay_s in (0.08, 0.16):
+        found = missing_drives(zones, delay_s, times_s, missing)
+        assert len(found) == zones.reached
+        for k, drive in enumerate(found):
+            first_s = 0.1 + 0.05 * (k + 0.5) + delay_s  # of its pulses' force, which lasts 0.2 s
+            assert drive == (0.3 if first_s <= 0.52 and first_s + 0.2 >= 0.5 else -0.1), k
+    assert missing_drives(zones, 0.1, [2.0], [0.2]) == [0.2] * 12  # who reaches nothing goes with the nearest
+
+
+def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:
     widths = [200.0] * 30
-    profile = next_profile(widths, Zones(9, 14), (-0.5, 0.4), (3.0, 2.0), 200.0, 0.6)
-    assert profile[0] == pytest.approx(200.0 - 200.0 * 0.6 * 0.5 / 3.0)  # too much: less
-    assert profile[12] == pytest.approx(200.0 + 200.0 * 0.6 * 0.4 / 2.0)  # too little: more
-    assert profile[0] < profile[8] < profile[9] < profile[12]  # smoothed in between
+    profile = next_profile(widths, [-20.0] * 7 + [30.0] * 7)
+    assert profile[0] == pytest.approx(180.0)
+    assert profile[12] == pytest.approx(230.0)
+    assert profile[0] < profile[6] < profile[7] < profile[12]  # smoothed in between
     assert set(profile[14:]) == {profile[13]}
-    assert next_profile(widths, Zones(0, 0), (1.0, 1.0), (3.0, 3.0), 200.0, 0.6) == widths
+    assert next_profile(widths, []) == widths
+
+
+def test_an_evertor_is_judged_by_the_roll_at_contact() -> None:
+    band = {"low": -5.0, "high": 10.0}
+    asked = tuning(toe_clearance_m=None, eversion_at_contact_deg=band)
+    reading = read_stride(stride(1, 0.02, roll_rad=np.full(101, math.radians(8.0))), asked)  # inversion is positive
+    assert isinstance(reading, Reading)
+    assert reading.measures[0].text() == "eversion at contact -8 ° (target -5–10)"
+    assert reading.level == pytest.approx(-0.2)
+    assert reading.measures[0].at_contact
+    why = read_stride(stride(1, 0.02), asked)  # an older log knows no roll
+    assert why == "the foot's roll at initial contact was not seen"
 
 
 # --- strides that teach nothing ------------------------------------------------------------------------------

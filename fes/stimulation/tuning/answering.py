@@ -7,7 +7,7 @@ that lies among its strides without stimulation although more was given than it 
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from statistics import median
 from typing import Final
 
@@ -36,7 +36,8 @@ class AnswerMonitor:
     """Whether one channel's foot answers, stride by stride."""
 
     def __init__(self) -> None:
-        self._run: deque[tuple[float, BurstParameters]] = deque(maxlen=16)  # drives since the targets were last reached
+        # drive, settings and whether the bound was spent, since the targets were last reached
+        self._run: deque[tuple[float, BurstParameters, bool]] = deque(maxlen=16)
         self._lifted: dict[str, tuple[float, float]] = {}  # by how much, and by what drive, when last reached
         self._newest: deque[Mapping[str, float]] = deque(maxlen=LOST_STRIDES)
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
@@ -68,27 +69,29 @@ class AnswerMonitor:
                 if (bare := self._without(measure.name)) is not None:
                     self._lifted[measure.name] = (measure.level - bare, drives[measure.name])
             return ""
-        self._run.append((drive, parameters))
-        if self._in_vain(reading, drives, model, spent=spent):
+        self._run.append((drive, parameters, spent))
+        if self._in_vain(reading, drives, model):
             return NO_ANSWER
         return LIKE_NONE if self._lost(drives) else ""
 
     def before(self, own: BurstParameters) -> BurstParameters:
         """The settings before the climb, the intensity at most the session's ``own``."""
-        weakest = min((each for _, each in self._run), key=lambda one: drive_of(one, own), default=own)
+        weakest = min((each for _, each, _ in self._run), key=lambda one: drive_of(one, own), default=own)
         return at_most(weakest, own)
 
-    def _in_vain(self, reading: Reading, drives: Mapping[str, float], model: ResponseModel, *, spent: bool) -> bool:
-        given: Sequence[float] = [drive for drive, _ in self._run]
-        if len(given) < STRIDES or not (spent or min(given[-AT_LAST:]) >= SEARCHED):
+    def _in_vain(self, reading: Reading, drives: Mapping[str, float], model: ResponseModel) -> bool:
+        last = list(self._run)[-AT_LAST:]
+        if len(self._run) < STRIDES or not (last[-1][2] or min(drive for drive, _, _ in last) >= SEARCHED):
             return False
-        for measure in reading.measures:
-            gained = model.gained(measure.name, drives[measure.name])
-            if gained.value + SDS * gained.sd > WEAKEST:
-                return False
-            if model.expected(measure.name, drives[measure.name]).value >= 0.0:
-                return False  # this target is reached: the foot is being lifted
-        return True
+        if any(model.expected(name, drives[name]).value >= 0.0 for name in reading.levels):
+            return False  # this target is reached: the foot is being lifted
+        gained = [model.gained(name, drives[name]) for name in reading.levels]
+        if any(each.value > WEAKEST for each in gained):
+            return False
+        known = [each.value + SDS * each.sd <= WEAKEST for each in gained]
+        if all(spent for _, _, spent in last):
+            return any(known)  # nothing is left to give; who is known best says it, a toe's height scatters for long
+        return all(known) and all(each.value - SDS * each.sd <= 0.0 for each in gained)  # who answers may with more
 
     def _lost(self, drives: Mapping[str, float]) -> bool:
         if len(self._newest) < LOST_STRIDES:

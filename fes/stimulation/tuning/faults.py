@@ -18,7 +18,8 @@ from fes.stimulation.tuning.targets import ROLL, Measure, Reading
 KNOWN: Final = 8  # strides, before anything can be told
 LAST: Final = 2
 TOGETHER: Final = 4.0  # standard deviations of a stride, mean of the last ones, of both measures …
-AS_WELL: Final = 0.5  # … each by at least so many
+AS_WELL: Final = 0.5  # … each by at least so many, …
+SHARE: Final = 0.125  # … and by so much of the other's: beside a great fall of the one, chance moves the other as well
 ALONE: Final = 8.0
 LEAST_SD: Final = 0.10  # of the band; strides that agree by chance do not make a measure exact
 LEAST_SD_AT_CONTACT: Final = 0.03
@@ -72,7 +73,7 @@ def _name(fell: Mapping[bool, float]) -> str:
     if not fell:
         return ""
     least, most = min(fell.values()), max(fell.values())
-    if len(fell) > 1 and least >= AS_WELL and sum(fell.values()) > TOGETHER:
+    if len(fell) > 1 and least >= max(AS_WELL, SHARE * most) and sum(fell.values()) > TOGETHER:
         return ELECTRODE
     if most <= ALONE:
         return ""

@@ -100,6 +100,7 @@ EXCITATION: Final = 0.02  # of the bound, 0.5 to 1 mA: too little to be felt as 
 STILL: Final = 4  # strides without a change, before one is made for the sake of knowing
 UNKNOWN: Final = 0.5  # of a slope's value is its standard deviation
 REPORTED_EVERY: Final = 10  # strides, what was identified
+MOST_ROLL_BACKS: Final = 3  # or answers to a jerked foot, the targets not reached in between; then it stops itself
 
 
 class Tuner:
@@ -141,6 +142,7 @@ class Tuner:
         self._even: BurstParameters | None = None  # what was learnt on even ground, while it is put away
         self._climb: tuple[BurstParameters, float] | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
+        self._roll_backs = 0
         self._settle = 0
         self.still = 0  # strides since the last change
         self._excited = 1.0  # which way the next excitation goes
@@ -171,7 +173,7 @@ class Tuner:
         if self._lost:
             self._lost = False
             self.model = ResponseModel()
-        self.frozen, self._climb = "", None
+        self.frozen, self._climb, self._roll_backs = "", None, 0
         return self._report(t_ns, "frozen", "tuning goes on")
 
     def accept(self, t_ns: int) -> TuningReport | None:
@@ -202,7 +204,7 @@ class Tuner:
         drive = self.drive * intensity
         why = self._filter.why_skip(stride, charge_uc, drive)
         if why == NO_CHARGE:
-            self._answers.add_bare(read_stride(stride, self.tuning))
+            self._on_bare(read_stride(stride, self.tuning))
         stopped = self.frozen and stride.valid and charge_uc > 0.0 and drive > 0.0
         if stopped and self._returning is not None and (report := self._still_returning(t_ns)):
             return report  # it has stopped itself: whatever the stride was like, less is on the way
@@ -235,6 +237,8 @@ class Tuner:
         self._learn_delay(stride, intensity)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
+        if reading.level >= 0.0:
+            self._roll_backs = 0
         if 0.0 <= reading.level <= 1.0 and not self._spared:
             self.memory.keep(self.drive)
         spent = share_used(self.parameters, self.tuning) >= SPENT
@@ -252,6 +256,12 @@ class Tuner:
         known = self.memory.remembered() if other_speed else None
         report = self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
         return self._with_fault(t_ns, stride, fault, report) if fault else report
+
+    def _on_bare(self, reading: Reading | str) -> None:
+        """A stride without stimulation changes nothing, but shows the level that stimulation starts from."""
+        self._answers.add_bare(reading)
+        if not isinstance(reading, str):
+            self.model.add(reading, dict.fromkeys(reading.levels, 0.0))
 
     def _on_skip(self, t_ns: int, stride: StrideResult, why: str) -> TuningReport:
         """On stairs and slopes that the session does not say, its own settings; what was learnt waits meanwhile."""
@@ -307,8 +317,10 @@ class Tuner:
             after = limited(self.parameters, self._shape.lessened(self.parameters), self.tuning)
             if changes := difference(self.parameters, after):
                 self.model.shake()
-                text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {changes}"
-                return self._propose(t_ns, after, text)
+                text = f"stride {stride.number}: {why}; stimulation may jerk the foot up"
+                if self.tuning.mode == "act" and self._jolts == JOLTS and self._once_too_often(t_ns):
+                    return self._roll_back_to(self.start, t_ns, text)
+                return self._propose(t_ns, after, f"{text}, less is tried: {changes}")
         return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
 
     def _unlike_the_others(self, reading: Reading, drives: Mapping[str, float]) -> bool:
@@ -330,12 +342,25 @@ class Tuner:
         settings, _ = self._climb
         if drive_of(self.parameters, settings) - 1.0 < CLIMBED:
             return None
+        if self._once_too_often(t_ns):
+            settings = self.start
+        return self._roll_back_to(settings, t_ns, f"{worst.text()} has got worse the more stimulation was given")
+
+    def _once_too_often(self, t_ns: int) -> bool:
+        """Count a roll-back; after too many what this foot asks for is not what does it good, and the tuning stops."""
+        self._roll_backs += 1
+        if self._roll_backs > MOST_ROLL_BACKS:
+            self.freeze(t_ns, f"stopped itself after {self._roll_backs} roll-backs")
+        return bool(self.frozen)
+
+    def _roll_back_to(self, settings: BurstParameters, t_ns: int, why: str) -> TuningReport:
+        """To these settings, step by step, or to less where less is in force."""
         before = self.parameters
-        self._returning, self._climb = settings, None
+        self._returning, self._climb = at_most(settings, before), None
         self._return()
-        changes = difference(before, self.parameters)
-        text = f"{worst.text()} has got worse the more stimulation was given: rolled back, {changes}"
-        return self._report(t_ns, "roll_back", text, before)
+        if self.frozen:
+            why += " once more; tuning has stopped itself and goes back to the session's settings: look at the electrodes"
+        return self._report(t_ns, "roll_back", f"{why}: rolled back, {difference(before, self.parameters)}", before)
 
     def _stop(self, t_ns: int, why: str) -> TuningReport:
         """The foot does not answer: nothing is raised any more, and what was raised is taken back."""
