@@ -39,9 +39,7 @@ class Ramp:
 
     def walk(self, *drives: float) -> Ramp:
         for drive in drives:
-            seen = {
-                name: self.random.gauss(self.level(name, drive), self.noise * NOISE[name]) for name in self.slopes
-            }
+            seen = {name: self.random.gauss(self.level(name, drive), self.noise * NOISE[name]) for name in self.slopes}
             self.model.add(reading(seen), dict.fromkeys(self.slopes, drive))
         return self
 

@@ -132,21 +132,26 @@ class Contrary(Plant):
         return 0.008 - 0.002 * (parameters.current_ma - 30.0)
 
 
-def test_what_is_known_to_make_it_worse_is_rolled_back_and_nothing_else_is() -> None:
-    """Begun low, so that the climb shows the slope before the bound is near."""
-    tuner = Tuner(channel(tuning(bounds=BOUNDS | {"current_ma": {"low": 10.0, "high": 40.0}}), current_ma=14.0))
-    known = []
-    for number in range(40):
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_known_to_make_it_worse_is_rolled_back_again_and_again_and_then_no_more(seed: int) -> None:
+    """The calf answers: the heel comes first ever less. Contact is known so well that a few steps show the slope."""
+    random, pitch = Random(seed), {"low": 4.0, "high": 25.0}
+    tuner = Tuner(channel(tuning(toe_clearance_m=None, pitch_at_contact_deg=pitch), current_ma=14.0))
+    known, most_ma = [], 0.0
+    for number in range(90):
         now = tuner.parameters
-        one = stride(number, max(0.008 - 0.0015 * (now.current_ma - 14.0), -0.014))
+        one = stride(number, 0.02, 3.0 - 0.5 * (now.current_ma - 14.0) + random.gauss(0.0, 0.6))
         report = tuner.observe(number * SECOND, one, charge_of(now), 1.0)
+        most_ma = max(most_ma, now.current_ma)
         if report is not None and "has got worse the more" in report.text:
-            slope = tuner.model.slope("toe clearance")
+            slope = tuner.model.slope("foot pitch at contact")
             known.append(slope.value + CONTRARY_SDS * slope.sd)
+            assert report.kind == "roll_back"
             assert tuner.parameters.current_ma < now.current_ma
-    assert known
+    assert 1 <= len(known) <= MOST_ROLL_BACKS + 1
     assert max(known) < 0.0
-    assert "stopped itself" in tuner.frozen or "does not answer" in tuner.frozen
+    assert most_ma < BOUNDS["current_ma"]["high"]
+    assert tuner.frozen
     assert tuner.parameters.current_ma <= 14.0
 
 
@@ -272,8 +277,9 @@ def test_evertors_are_tuned_by_the_roll_at_contact_alone(method: str) -> None:
         roll += math.radians(-2.0 + 4.0 * contact / 1.4)
         tuner.observe(number * SECOND, stride(number, 0.001, roll_rad=roll), charge_of(tuner.parameters), 1.0)
     assert found[1] < band["low"]
-    assert all(band["low"] <= each <= band["high"] for each in found[-20:])
-    assert set(tuner.model.slope(name).value > 0.0 for name in ("eversion at contact",)) == {True}
+    assert sum(band["low"] <= each <= band["high"] for each in found[-20:]) >= 18
+    slope = tuner.model.slope("eversion at contact")
+    assert slope.value > 2.0 * slope.sd
     assert not tuner.model.knows("toe clearance")
 
 

@@ -89,6 +89,7 @@ def difference(before: BurstParameters, after: BurstParameters) -> str:
 SPARED: Final = 6  # strides after a fault in which nothing is lowered
 NEAR_AIM: Final = 0.5  # of the band: nearer than this a change must show its effect before the next
 UNREACHED_STRIDES: Final = 5
+REACHED_STRIDES: Final = 5  # in a row: what was rolled back before is made good
 TIMING_DEAD_S: Final = 0.015
 JOLTS: Final = 2  # strides in a row whose contact cannot be true: stimulation jerks the foot up
 OUTLIER: Final = 1.5  # of the band, or OUTLIER_SDS of the noise: once it may be chance, twice it is not
@@ -143,6 +144,7 @@ class Tuner:
         self._climb: tuple[BurstParameters, float] | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
         self._roll_backs = 0
+        self._reached = 0
         self._settle = 0
         self.still = 0  # strides since the last change
         self._excited = 1.0  # which way the next excitation goes
@@ -237,7 +239,8 @@ class Tuner:
         self._learn_delay(stride, intensity)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
-        if reading.level >= 0.0:
+        self._reached = self._reached + 1 if reading.level >= 0.0 else 0
+        if self._reached >= REACHED_STRIDES:
             self._roll_backs = 0
         if 0.0 <= reading.level <= 1.0 and not self._spared:
             self.memory.keep(self.drive)
@@ -359,7 +362,7 @@ class Tuner:
         self._returning, self._climb = at_most(settings, before), None
         self._return()
         if self.frozen:
-            why += " once more; tuning has stopped itself and goes back to the session's settings: look at the electrodes"
+            why += " again; tuning has stopped itself and goes back to the session's settings, look at the electrodes"
         return self._report(t_ns, "roll_back", f"{why}: rolled back, {difference(before, self.parameters)}", before)
 
     def _stop(self, t_ns: int, why: str) -> TuningReport:
