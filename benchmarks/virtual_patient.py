@@ -2,8 +2,9 @@
 
     python benchmarks/virtual_patient.py [--data FOLDER] [--figure FILE.svg] [--json FILE]
 
-Each real foot of ``stroke_treadmill`` (belt speed known) and ``gaitmap_walk`` gets a virtual twin at its speed and
-about its sampling rate. Both go through the same default calibration and tracker; nothing is fitted to a recording.
+Each real foot of ``stroke_treadmill`` (belt speed known), of its unseen walkers and of ``gaitmap_walk`` gets a virtual
+twin at its speed and about its sampling rate. Both go through the same default calibration and tracker. How foot, knee
+and ground move was chosen with the first group in view, never with the unseen walkers.
 Without the recordings this says so and exits with 3.
 """
 
@@ -13,10 +14,11 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
+from random import Random
 
 import numpy as np
 from real_sets import gaitmap_walk
@@ -30,6 +32,7 @@ from fes.recording import Track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from fes.simulation.forward import VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import recording_of
+from fes.simulation.forward.draw import draw_movement
 from statemachine.phases import Transition
 
 ORDER = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
@@ -139,25 +142,29 @@ def spectrum(signal: FloatArray, rate_hz: float) -> tuple[FloatArray, float, flo
 
 def pairs(folder: Path) -> Iterator[tuple[str, str, Track, float, str]]:
     """Real feet: group, name, track, speed, and the severity of the virtual twin."""
-    for path in sorted((folder / "stroke_treadmill").glob("*_FB*.npz")) + sorted(
-        (folder / "stroke_treadmill").glob("*_2FB.npz")
-    ):
-        tracks, belt = load_run(path)
-        if math.isnan(belt):
-            continue
-        for foot, track in tracks.items():
-            yield "stroke", f"{path.stem} {foot[:-5]}", track, belt, "mild" if foot == "right_foot" else "healthy"
+    for group, root in (("stroke", folder), ("unseen", folder / "unseen_walkers")):
+        runs = root / "stroke_treadmill"
+        for path in sorted(runs.glob("*_FB*.npz")) + sorted(runs.glob("*_2FB.npz")):
+            tracks, belt = load_run(path)
+            if math.isnan(belt):
+                continue
+            for foot, track in tracks.items():
+                yield group, f"{path.stem} {foot[:-5]}", track, belt, "mild" if foot == "right_foot" else "healthy"
     for walk in gaitmap_walk(folder):
         if "stair" not in walk.name:
             yield "gaitmap", walk.name, walk.track, math.nan, "healthy"
 
 
-def twin(severity: str, speed_mps: float, seed: int, foot: str, rate_hz: float) -> Track:
-    """A minute of a virtual patient at this speed, sampled at 100 or 200 Hz, whichever is nearer."""
+def twin(group: str, severity: str, speed_mps: float, seed: int, foot: str, rate_hz: float) -> Track:
+    """A minute of a virtual patient at this speed, sampled at 100 or 200 Hz, whichever is nearer.
+
+    A stroke survivor's foot, shoe, sensor and knee move as drawn for a patient of a cohort, by ``seed``.
+    """
     speed = min(max(speed_mps, 0.1), 2.0)
     near = 200.0 if rate_hz > 150.0 else 100.0
     side = foot.split("_")[0]
-    settings = settings_for(severity, speed_mps=speed, seed=seed, side=side, sensors=(foot,), rate_hz=near)
+    drawn = draw_movement(Random(f"{seed}")) if group != "gaitmap" else {}
+    settings = settings_for(severity, speed_mps=speed, seed=seed, side=side, sensors=(foot,), rate_hz=near, **drawn)
     patient = VirtualPatient(settings)
     samples = patient.advance(60 * NS_PER_S)
     return recording_of(patient, samples, "twin", "").tracks[foot]
@@ -197,6 +204,18 @@ def table(rows: dict[str, list[Seen]]) -> list[list[str]]:
     return out
 
 
+def against(rows: dict[str, list[Seen]], groups: Sequence[str]) -> list[str]:
+    """The median of the virtual feet of these groups over that of the real ones, row by row."""
+    out = []
+    for key, _, _ in NAMES:
+        real, virtual = (
+            np.nanmedian([getattr(seen, key) for group in groups for seen in rows.get(group + kind, [])])
+            for kind in ("", " virtual")
+        )
+        out.append(f"{virtual / real:.2f}")
+    return out
+
+
 def figure(curves: dict[str, list[Curves]]) -> str:
     """The figure as SVG text: mean strides and spectra, real beside virtual."""
     panels = (
@@ -205,7 +224,7 @@ def figure(curves: dict[str, list[Curves]]) -> str:
         ("spectrum of the rate, rad/s/√Hz", "rate_power", SPECTRUM_HZ),
         ("spectrum of the acceleration, m/s²/√Hz", "acc_power", SPECTRUM_HZ),
     )  # fmt: skip
-    colours = {"stroke": "#1b6ca8", "gaitmap": "#2f8f4e"}
+    colours = {"stroke": "#1b6ca8", "unseen": "#b3541e", "gaitmap": "#2f8f4e"}
     parts = [
         '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 960 640" font-family="sans-serif" font-size="12">',
         '<rect width="960" height="640" fill="white"/>',
@@ -238,8 +257,8 @@ def figure(curves: dict[str, list[Curves]]) -> str:
                     f'stroke-opacity="{opacity}"{dashed}/>'
                 )
     parts.append(
-        '<text x="60" y="20">Blue: stroke survivors on a treadmill. Green: a healthy adult (gaitmap). Solid: real; '
-        "dashed: virtual, same speeds. Thick: median foot; thin: 10th and 90th percentile.</text></svg>"
+        '<text x="60" y="20">Blue: stroke survivors on a treadmill; brown: two not looked at. Green: a healthy '
+        "adult. Solid: real; dashed: virtual, same speeds. Thick: median; thin: 10th and 90th percentile.</text></svg>"
     )
     return "\n".join(parts) + "\n"
 
@@ -257,7 +276,7 @@ def main() -> int:
     for seed, (group, name, track, belt, severity) in enumerate(pairs(options.data)):
         real, real_curves = look(group, name, track, belt)
         speed = belt if not math.isnan(belt) else real.stride_m / real.stride_s
-        other = twin(severity, speed, seed, track.sensor, track.rate_hz)
+        other = twin(group, severity, speed, seed, track.sensor, track.rate_hz)
         virtual, virtual_curves = look(f"{group} virtual", name, other, speed)
         for one, curve in ((real, real_curves), (virtual, virtual_curves)):
             seen.setdefault(one.group, []).append(one)
@@ -266,11 +285,13 @@ def main() -> int:
         print(f"{options.data}: no recordings; set FES_DATA or --data", file=sys.stderr)
         return 3
     heads = ["median (range) over feet", *(f"{group}, n = {len(members)}" for group, members in seen.items())]
-    rows = table(seen)
+    heads += ["virtual / real, stroke", "… with the unseen"]
+    ratios = against(seen, ["stroke"]), against(seen, ["stroke", "unseen"])
+    rows = [[*row, *pair] for row, *pair in zip(table(seen), *ratios, strict=True)]
     shown = Table(*heads)
     for row in rows:
         shown.add_row(*row)
-    Console(width=150).print(shown)
+    Console(width=190).print(shown)
     if options.figure:
         options.figure.write_text(figure(curves), encoding="utf-8")
     if options.markdown:

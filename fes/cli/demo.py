@@ -24,7 +24,7 @@ GO_ON: Final = 3  # times, where a busy computer makes the session switch off
 LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
 TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
-    "The strides' toe heights are the true ones; the controller measures some 5 mm more, and aims at that."
+    "The strides' toe heights are the true ones; the controller measures some 1 mm more, and aims at that."
 )
 
 

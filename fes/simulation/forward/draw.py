@@ -56,19 +56,22 @@ def draw_patient(seed: int, number: int, **others: Any) -> PatientSettings:
         name = HEMIPARETIC[number // EVERY_THIRD % len(HEMIPARETIC)]
         speed_mps = PATTERNS[name].speed_mps * r.uniform(0.85, 1.2)
         drawn |= {"pattern": name, "speed_mps": round(min(max(speed_mps, SLOWEST_MPS), FASTEST_SLOW_MPS), 3)}
+        drawn["knee_flexion"] = 1.0  # what these walks' knees do is part of the pattern
     else:
         drawn["speed_mps"] = round(r.uniform(0.36, 1.3), 3)
     return PatientSettings(**{**drawn, **others})
 
 
 def draw_movement(r: Random) -> dict[str, float]:
-    """What makes two feet's signals differ at the same walk: settings of how foot, shoe and sensor move."""
+    """What makes two feet's signals differ at the same speed: how foot, shoe, sensor and knee of a patient move."""
     return {
         "shoe_stiffness": r.uniform(0.6, 1.2),  # a worn or soft sole, a hard one
         "strap_hz": r.uniform(20.0, 40.0),  # soft tissue of the leg: 10–50 Hz (Wakeling & Nigg 2001)
         "strap_damping": r.uniform(0.4, 1.0),
         "toe_break_deg": r.uniform(10.0, 30.0),  # 20–40° barefoot (Isman & Inman 1969), less in a shoe
         "leg_twist_deg": r.uniform(13.0, 25.0),  # of the tibia in space (Levens et al. 1948)
+        "knee_flexion": r.uniform(0.68, 0.9),  # 42–56° in swing: after stroke it bends less (Olney & Richards 1996)
+        "early_lift_m": 0.0,  # … and the toe passes no higher early than in mid-swing
     }
 
 

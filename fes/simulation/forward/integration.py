@@ -154,8 +154,8 @@ def low_pass(filter_: Mat, values: Mat, b0: float, a1: float, a2: float) -> None
 @jit
 def run(
     legs: Vec, belts: Vec, begin: int, end: int, dt: float, pulse_step: Vec, pulse_uc: Vec, pulse_of: Vec,
-    muscles: Vec, affected: int, places: Mat, straps: Mat, filters: Mat, taps: Vec, values: Mat, every: int, samples: Mat,
-    trace_every: int, trace: Mat,
+    muscles: Vec, affected: int, places: Mat, straps: Mat, filters: Mat, taps: Vec, values: Mat, every: int,
+    samples: Mat, trace_every: int, trace: Mat,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Advance from step ``begin`` to ``end`` at most; returns the step reached, the leg and what happened to it.
 

@@ -34,12 +34,11 @@ STANDING_PHASE = 0.30  # of the cycle, whose joint angles a standing leg has
 LOADING_S = 0.11
 SLOWED = 0.5  # share of its speed at contact with which the leg itself goes on at first
 PRE_SWING_SHARE = 0.17  # of the cycle, from heel off to foot off
-LANDING_MPS = -0.25  # the ankle's vertical speed at contact, at the least
+LANDING_MPS = -0.28  # the ankle's vertical speed at contact, at the least
 CLEARANCE_M = 0.017  # mean least toe clearance of healthy walkers (Winter, *Phys Ther* 72, 1992: 1.3 cm)
 HALF_WIDTH_M = 0.08
 TO_PLAN = 0.55  # share of the swing until the foot is on its planned path, where it begins on it
 NEAR_S = 0.4  # … the whole swing where it begins as far away from it as the belt goes in this time
-EARLY_M = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
 _EARLY, _MIDDLE = np.linspace(0.24, 0.38, 8), np.linspace(0.44, 0.75, 16)
 LOST_LIFT_M = 0.05  # by how much lower the foot would pass without any push-off: the knee swings by it
 LOST_REACH_M = 0.15  # … and by how much shorter the step would be
@@ -142,7 +141,8 @@ class Planner:
     def set_speed(self, speed_mps: float) -> None:
         """Take the joint curves of this speed, from the next event on."""
         self.speed_mps = speed_mps
-        self._curves = normative.joint_curves(speed_mps, self.settings.height_m, self.pattern.knee)
+        knee = self.pattern.knee * self.settings.knee_flexion
+        self._curves = normative.joint_curves(speed_mps, self.settings.height_m, knee)
 
     def stance(self, t_s: float, next_rise_s: float, next_off_s: float, support_s: float) -> None:
         """The foot has met the ground at ``t_s``: load it, let it lie, and know when its heel shall rise."""
@@ -219,10 +219,11 @@ class Planner:
         to_plan = TO_PLAN + (1.0 - TO_PLAN) * min(away_m / (NEAR_S * self.speed_mps), 1.0)
         self._fade(t_s, to_plan * span, here, before[2])
         leg["early_m"] = 0.0
+        first_m = swing.clearance_m + self.settings.early_lift_m
         for _ in range(3):  # each depends a little on the other
             leg["hike_m"] = 0.0
             leg["hike_m"] = self._needed(swing.clearance_m, _MIDDLE)
-            leg["early_m"] += max(self._needed(swing.clearance_m + EARLY_M, _EARLY), -float(leg["early_m"]))
+            leg["early_m"] += max(self._needed(first_m, _EARLY), -float(leg["early_m"]))
         leg["hike_m"] = 0.0
         normal, hanging = self._needed(swing.clearance_m, _MIDDLE), self._needed(0.0, _MIDDLE, hanging=True)
         self.need_m = max(hanging - normal, 0.0) * (1.0 - float(leg["own"]))

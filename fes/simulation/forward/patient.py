@@ -324,8 +324,8 @@ class VirtualPatient:
         trace = np.empty((stop // TRACE_EVERY - begin // TRACE_EVERY, 2, len(TRACE)))
         self._step, side, what = run(
             walker.legs, walker.belt, begin, stop, STEP_NS / NS_PER_S, self._pulse_step, self._pulse_uc,
-            self._pulse_of, walker.muscles, walker.affected, self._places, self._straps, self._filters, self._taps, self._values,
-            self._every, samples, TRACE_EVERY, trace,
+            self._pulse_of, walker.muscles, walker.affected, self._places, self._straps, self._filters, self._taps,
+            self._values, self._every, samples, TRACE_EVERY, trace,
         )  # fmt: skip
         if self._step <= 0:
             return

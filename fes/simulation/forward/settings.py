@@ -89,11 +89,15 @@ class PatientSettings:
     # habitual extra lift by hip and knee against the dropped foot, 0 (none) to 1 (just clears)
     compensation: float = 0.6
     variability: float = 1.0  # stride-to-stride variation, 1 being usual
-    shoe_stiffness: float = 1.0  # of sole and heel pad, 1 being a heel that gives way by 8 mm under half the weight
-    strap_hz: float = 30.0  # how fast a sensor swings on strap, shoe and skin when knocked
-    strap_damping: float = 0.7  # … and its damping ratio
-    toe_break_deg: float = 20.0  # how oblique the line is about which the heel rises
+    knee_flexion: float = 1.0  # of both knees, as a share of what is normal or the pattern's
+    early_lift_m: float = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
     leg_twist_deg: float = 19.0  # outward turn of the leg about its long axis from stance to early swing
+    toe_break_deg: float = (
+        20.0  # from square across the foot to the line through the toes' joints, where the heel rises
+    )
+    shoe_stiffness: float = 1.0  # of sole and heel pad, 1 being a heel that gives way by 8 mm under half the weight
+    strap_hz: float = 30.0  # natural frequency of a sensor on strap, shoe and skin
+    strap_damping: float = 0.7  # … and its damping ratio
     asymmetry: float = 0.02  # how much shorter the affected leg's stance is, as a share of the cycle
     rate_hz: float = 100.0  # samples a second of every sensor; 2000 must be a multiple of it
     sensors: tuple[str, ...] = FOOT_SENSORS + SHANK_SENSORS  # which sensors are worn
@@ -145,8 +149,9 @@ _RANGES = {
     "voluntary_dorsiflexion": (0.0, 1.0), "spasticity": (0.0, 1.0), "channel": (0, 7), "electrode_quality": (0.0, 1.0),
     "compensation": (0.0, 1.5), "variability": (0.0, 3.0), "asymmetry": (-0.15, 0.15), "rate_hz": (20.0, 1000.0),
     "stand_s": (1.0, 600.0), "inversion_share": (-0.5, 0.5), "roll_stiffness_nm_per_rad": (2.0, 100.0),
-    "spasm_radps": (0.5, math.inf), "shoe_stiffness": (0.4, 2.0), "strap_hz": (15.0, 200.0), "strap_damping": (0.1, 2.0),
-    "toe_break_deg": (-10.0, 40.0), "leg_twist_deg": (-20.0, 40.0),
+    "spasm_radps": (0.5, math.inf), "shoe_stiffness": (0.4, 2.0), "strap_hz": (15.0, 200.0),
+    "strap_damping": (0.1, 2.0), "toe_break_deg": (-10.0, 40.0), "leg_twist_deg": (-20.0, 40.0),
+    "knee_flexion": (0.4, 1.2), "early_lift_m": (0.0, 0.04),
 }  # fmt: skip
 _MUSCLE_RANGES = {
     "threshold_uc": (0.0, 60.0), "saturation_uc": (0.0, 65.0), "chronaxie_us": (50.0, 2000.0),
