@@ -54,12 +54,12 @@ OTHERS_MOVE: Final = 0.5  # of their usual range, in the middle of all axes
 LEAST_SHARE: Final = 0.02  # of its usual range: by that, and …
 LEAST: Final = (0.3, 0.3, 0.3, 0.1, 0.1, 0.1)  # … by so much at least (m/s², rad/s), an axis has moved
 LIVES: Final = 3.0  # times the least: an axis that is used to less is not judged
-STILL_WAY: Final = 4.0  # usual ranges that all axes together may go while one is still, however rarely it is …
-STILL_WAY_AT_FIRST: Final = 12.0  # … until they have gone so far:
-LEARNS_WAY, KNOWN_WAY = 40.0, 120.0  # two strides and six
-MOST_STILL: Final = 2.8  # times the farthest that they have gone so before; real: 2.1, virtual: 2.3
+MOST_STILL: Final = 2.8  # times as far as before all axes may go, in usual ranges, while one is still; real: 2.1
+STILL_WAY: Final = 4.0  # as far as that counts as before, however seldom it is still …
+STILL_WAY_AT_FIRST, KNOWN_WAY = 12.0, 120.0  # … and until they have gone six strides' way
 FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
 NONE_SAME: Final = (False, False, False)
+Turn = tuple[Vector3, Vector3, Vector3]
 Six = tuple[float, float, float, float, float, float]
 _AXES: Final = tuple(f"{triad}'s {axis} axis" for triad in ("accelerometer", "gyroscope") for axis in "xyz")
 
@@ -172,11 +172,16 @@ class Coherence:
             self._smooth_rad = 0.0
         if (axis := self._stillness.stuck((x, y, z, p, q, r), block_ns)) >= 0:
             return f"{self._sensor} moves as ever, but its {_AXES[axis]} does not feel it: stuck?"
-        if felt_mps2 := self._mean_force.wrong((x, y, z), (p, q, r), rate_radps, block_ns):
-            self._stillness.restart()
-            felt = f"{felt_mps2:.1f} m/s² of gravity"
-            return f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
-        return self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), (p, q, r), rate_radps, block_ns)
+        turn = turn_of((p, q, r), block_s)
+        if felt_mps2 := self._mean_force.wrong((x, y, z), turn, rate_radps, block_ns):
+            fault = (
+                f"{self._sensor}'s force and turn do not fit: {felt_mps2:.1f} m/s² of gravity: an axis stuck, scaled?"
+            )
+        else:
+            fault = self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), turn, rate_radps, block_ns)
+        if fault:
+            self._stillness.restart()  # what lies is nothing to learn from
+        return fault
 
     def _dead(self, force: Vector3, rate: Vector3) -> str:
         """Says so when one triad says nothing of what the other tells, or both nothing of the ground."""
@@ -203,10 +208,10 @@ class Coherence:
             return f"{sensor} turns and turns without ever touching the ground: does it dangle?"
         return f"{sensor} turns, but its {_AXES[stuck]} does not feel it: stuck?" if stuck >= 0 else ""
 
-    def _gravity(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> str:
+    def _gravity(self, force: Vector3, turn: Turn, rate_radps: float, block_ns: int) -> str:
         """Says so when the force at rest is not gravity, or from one rest to the next adds up to more."""
         if self._up is not None:
-            self._turn_along(self._up, force, rate, rate_radps, 1e-9 * block_ns)
+            self._turn_along(self._up, force, turn, rate_radps, 1e-9 * block_ns)
             self._since_rest_ns += block_ns
             if self._since_rest_ns > LONGEST_NS:
                 self._up = None
@@ -227,13 +232,11 @@ class Coherence:
         self._resting_ns = resting_ns + block_ns
         return self._rested(mean) if self._resting_ns >= REST_NS else ""
 
-    def _turn_along(self, up: Vector3, force: Vector3, rate: Vector3, rate_radps: float, block_s: float) -> None:
+    def _turn_along(self, up: Vector3, force: Vector3, turn: Turn, rate_radps: float, block_s: float) -> None:
         """Turn gravity with the sensor, and add up what of the force is more than gravity along it."""
-        (u, v, w), (p, q, r) = up, rate
-        a, b, c = v * r - w * q, w * p - u * r, u * q - v * p
-        half = 0.5 * block_s
-        a, b, c = a + half * (b * r - c * q), b + half * (c * p - a * r), c + half * (a * q - b * p)
-        u, v, w = u + block_s * a, v + block_s * b, w + block_s * c
+        (a, b, c), (d, e, f), (g, h, i) = turn
+        u, v, w = up
+        u, v, w = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + i * w
         share = 1.0 / math.sqrt(u * u + v * v + w * w)
         u, v, w = share * u, share * v, share * w
         along = force[0] * (u + up[0]) + force[1] * (v + up[1]) + force[2] * (w + up[2])
@@ -319,34 +322,20 @@ class MeanForce:
         self._once: Vector3 | None = None
         self._ns = 0
 
-    def wrong(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> float:
+    def wrong(self, force: Vector3, turn: Turn, rate_radps: float, block_ns: int) -> float:
         """Take in means of a block; how large the mean force is (m/s²) when it cannot be so, else 0."""
         block_s = 1e-9 * block_ns
         share, (x, y, z) = block_s / FORCE_MEAN_S, force
         if self._once is None:
             size = self._usual_mps2 / max(_size(force), 1e-6)
             self._once = self._twice = (size * x, size * y, size * z)
-        p, q, r = block_s * rate[0], block_s * rate[1], block_s * rate[2]
-        pq, qr, rp = 0.5 * p * q, 0.5 * q * r, 0.5 * r * p
-        pp, qq, rr = 0.5 * p * p, 0.5 * q * q, 0.5 * r * r
-        a, b, c = 1.0 - qq - rr, 1.0 - rr - pp, 1.0 - pp - qq
-        # what stands still turns backward in the sensor; to the second order of the angle
+        (a, b, c), (d, e, f), (g, h, i) = turn
         u, v, w = self._once
-        u, v, w = (
-            a * u + (pq + r) * v + (rp - q) * w,
-            (pq - r) * u + b * v + (qr + p) * w,
-            (rp + q) * u + (qr - p) * v + c * w,
-        )
-        u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
-        self._once = (u, v, w)
+        u, v, w = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + i * w
+        self._once = u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
         x, y, z = self._twice
-        x, y, z = (
-            a * x + (pq + r) * y + (rp - q) * z,
-            (pq - r) * x + b * y + (qr + p) * z,
-            (rp + q) * x + (qr - p) * y + c * z,
-        )
-        x, y, z = x + share * (u - x), y + share * (v - y), z + share * (w - z)
-        self._twice = (x, y, z)
+        x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        self._twice = x, y, z = x + share * (u - x), y + share * (v - y), z + share * (w - z)
         self._ns += block_ns
         if self._ns < MEANS_NS:
             return 0.0
@@ -378,6 +367,7 @@ class Stillness:
         self._least = list(LEAST)
         self._farthest = [0.0] * 6
         self._gone = 0.0  # by all axes so far
+        self._may_go = [math.inf] * 6  # while an axis is still
         self.restart()
 
     def restart(self) -> None:
@@ -387,7 +377,7 @@ class Stillness:
         self._ns = 0
         self._at: list[float] = []  # each axis where it last moved to, …
         self._since = [math.inf] * 6  # … and how far all had gone then; nothing is learnt of the first stretch …
-        self._until = [self._may_go(axis) for axis in range(6)]  # … and how far they may go
+        self._until = [self._gone + way for way in self._may_go]  # … and how far they may go
 
     def stuck(self, means: Six, block_ns: int) -> int:
         """Take in means of force and rate; the number of an axis that is stuck, -1 for none."""
@@ -399,11 +389,13 @@ class Stillness:
             self._at = list(means)
             return -1
         at, until, gone, stuck, moved = self._at, self._until, self._gone, -1, []
-        for axis, least in enumerate(self._least):
-            if not -least <= means[axis] - at[axis] <= least:
+        axis = 0
+        for now, then, least in zip(means, at, self._least, strict=True):
+            if now - then > least or then - now > least:
                 moved.append(axis)
             elif gone > until[axis]:
                 stuck = axis
+            axis += 1  # noqa: SIM113 - enumerate takes a tenth longer
         if stuck >= 0:
             self.restart()  # its stretch is none to learn from; told anew when it goes on
         elif moved:
@@ -411,22 +403,18 @@ class Stillness:
         return stuck
 
     def _move(self, moved: list[int], means: Six) -> None:
-        before = self._gone
+        before = gone = self._gone
+        at, usual, since, until, may_go = self._at, self._usual, self._since, self._until, self._may_go
         for axis in moved:
-            share = abs(means[axis] - self._at[axis]) / self._usual[axis]
-            self._gone += share if share < 1.0 else 1.0
-            self._at[axis] = means[axis]
+            now = means[axis]
+            share = abs(now - at[axis]) / usual[axis]
+            gone += share if share < 1.0 else 1.0
+            at[axis] = now
+        self._gone = gone
         for axis in moved:
-            self._farthest[axis] = max(self._farthest[axis], before - self._since[axis])
-            self._since[axis] = self._gone
-            self._until[axis] = self._may_go(axis)
-
-    def _may_go(self, axis: int) -> float:
-        """How far all axes may have gone before this one, which has just moved, moves again."""
-        if not self._usual or self._usual[axis] < LIVES * LEAST[axis]:
-            return math.inf
-        rarely = STILL_WAY if self._gone > KNOWN_WAY else STILL_WAY_AT_FIRST
-        return max(self._gone + MOST_STILL * max(self._farthest[axis], rarely), LEARNS_WAY)
+            if before - since[axis] > self._farthest[axis]:
+                self._farthest[axis] = before - since[axis]
+            since[axis], until[axis] = gone, gone + may_go[axis]
 
     def _hop(self) -> None:
         """What an axis goes through in a stride is learnt as long as most axes move."""
@@ -446,6 +434,18 @@ class Stillness:
             if 0.5 * (ranked[2] + ranked[3]) > OTHERS_MOVE:
                 self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
         self._least = [max(LEAST_SHARE * usual, least) for usual, least in zip(self._usual, LEAST, strict=True)]
+        rarely = STILL_WAY if self._gone > KNOWN_WAY else STILL_WAY_AT_FIRST
+        self._may_go = [
+            MOST_STILL * max(way, rarely) if usual >= LIVES * least else math.inf
+            for way, usual, least in zip(self._farthest, self._usual, LEAST, strict=True)
+        ]
+
+
+def turn_of(rate: Vector3, block_s: float) -> Turn:
+    """Rows (3, 3) that turn what stands still, in a sensor that turns at ``rate`` (rad/s); to the angle's 2nd order."""
+    p, q, r = block_s * rate[0], block_s * rate[1], block_s * rate[2]
+    pq, qr, rp, pp, qq, rr = 0.5 * p * q, 0.5 * q * r, 0.5 * r * p, 0.5 * p * p, 0.5 * q * q, 0.5 * r * r
+    return (1.0 - qq - rr, pq + r, rp - q), (pq - r, 1.0 - rr - pp, qr + p), (rp + q, qr - p, 1.0 - pp - qq)
 
 
 def _size(a: Vector3) -> float:

@@ -23,6 +23,7 @@ from fes.gate.coherence import (
     Coherence,
     MeanForce,
     Stillness,
+    turn_of,
 )
 from fes.signals import G_MPS2, NS_PER_S, ImuSample, OperatorAction, Vector3
 
@@ -300,7 +301,7 @@ def test_a_force_that_is_scaled_and_never_rests_is_told(factor: float) -> None:
 def felt(judge: MeanForce, extra_mps2: float, rate_radps: float, seconds: float) -> list[bool]:
     """Whether it says that something is wrong, of a turn about the force's own direction with more or less of it."""
     force, rate = (0.0, 0.0, G_MPS2 + extra_mps2), (0.0, 0.0, rate_radps)
-    return [judge.wrong(force, rate, rate_radps, 15 * MS) > 0.0 for _ in range(round(seconds / 0.015))]
+    return [judge.wrong(force, turn_of(rate, 0.015), rate_radps, 15 * MS) > 0.0 for _ in range(round(seconds / 0.015))]
 
 
 @pytest.mark.requirement("SR-10")
@@ -347,7 +348,7 @@ def test_a_rate_that_turns_the_force_elsewhere_is_told_within_a_stride(factor: f
         t_s, now = 0.015 * k, factor if k >= 700 else 1.0
         pitch, rate = 0.9 * math.sin(6.0 * t_s), 5.4 * math.cos(6.0 * t_s)
         force = (-G_MPS2 * math.sin(pitch), 0.0, G_MPS2 * math.cos(pitch))
-        said.append(judge.wrong(force, (0.0, now * rate, 0.0), abs(rate), 15 * MS) > 0.0)
+        said.append(judge.wrong(force, turn_of((0.0, now * rate, 0.0), 0.015), abs(rate), 15 * MS) > 0.0)
     assert not any(said[:700])
     assert any(said[700:]) is tells
 
