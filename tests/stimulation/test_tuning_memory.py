@@ -23,7 +23,7 @@ def walked(*kept: tuple[float, float]) -> SpeedMemory:
 def at(memory: SpeedMemory, speed_mps: float) -> float | None:
     for _ in range(3):
         memory.changed(speed_mps)
-    return memory.known()
+    return memory.remembered()
 
 
 def test_another_speed_is_one_that_is_walked_for_some_strides() -> None:
@@ -57,7 +57,7 @@ def test_the_newest_counts_more_and_what_a_fault_made_wrong_is_forgotten() -> No
     assert known is not None
     assert 1.4 < known < 1.5
     memory.forget()
-    assert memory.known() is None
+    assert memory.remembered() is None
     assert at(SpeedMemory(), 0.8) is None
 
 

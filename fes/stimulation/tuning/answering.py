@@ -1,6 +1,6 @@
 """Whether the foot answers to stimulation at all: one whose electrode has come off must not be given ever more.
 
-By the identified response: nearly all that the bound allows has been given over some strides, the target is not
+By the identified response: nearly all that the bound allows has been given over some strides, no target is
 reached, and all that stimulation can be believed to lift the foot by is less than the weakest foot's answer. A foot
 whose threshold lies above the session's setting answers to nothing below it, so it is searched for upward first. A foot
 that lies among its strides without stimulation although more was given than it needed before is lost.

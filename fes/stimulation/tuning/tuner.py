@@ -147,6 +147,7 @@ class Tuner:
         self._reached = 0
         self._settle = 0
         self.still = 0  # strides since the last change
+        self._reported = 0  # strides known when last it was said what is identified
         self._excited = 1.0  # which way the next excitation goes
         self._unreached = 0
         self._uneven = 0
@@ -174,7 +175,7 @@ class Tuner:
         """Go on after a freeze; where the foot did not answer, without what was learnt meanwhile."""
         if self._lost:
             self._lost = False
-            self.model = ResponseModel()
+            self.model, self._reported = ResponseModel(), 0
         self.frozen, self._climb, self._roll_backs = "", None, 0
         return self._report(t_ns, "frozen", "tuning goes on")
 
@@ -346,7 +347,7 @@ class Tuner:
         if drive_of(self.parameters, settings) - 1.0 < CLIMBED:
             return None
         if self._once_too_often(t_ns):
-            settings = self.start
+            settings = at_most(settings, self.start)
         return self._roll_back_to(settings, t_ns, f"{worst.text()} has got worse the more stimulation was given")
 
     def _once_too_often(self, t_ns: int) -> bool:
@@ -362,8 +363,9 @@ class Tuner:
         self._returning, self._climb = at_most(settings, before), None
         self._return()
         if self.frozen:
-            why += " again; tuning has stopped itself and goes back to the session's settings, look at the electrodes"
-        return self._report(t_ns, "roll_back", f"{why}: rolled back, {difference(before, self.parameters)}", before)
+            why += " again; tuning has stopped itself and goes back, look at the electrodes"
+        changes = difference(before, self.parameters) or "nothing had been raised"
+        return self._report(t_ns, "roll_back", f"{why}: rolled back, {changes}", before)
 
     def _stop(self, t_ns: int, why: str) -> TuningReport:
         """The foot does not answer: nothing is raised any more, and what was raised is taken back."""
@@ -475,8 +477,9 @@ class Tuner:
 
     def _identified(self, t_ns: int) -> TuningReport | None:
         """What is known of this foot's answer, now and then."""
-        if self.model.strides % REPORTED_EVERY:
+        if self.model.strides - self._reported < REPORTED_EVERY:
             return None
+        self._reported = self.model.strides
         return self._report(t_ns, "identified", self.identified())
 
     def identified(self) -> str:
