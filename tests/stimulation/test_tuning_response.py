@@ -11,7 +11,7 @@ import pytest
 from fes.config import Band
 from fes.stimulation.tuning.delay import FORCE_S, STEP_S, USUAL_S, USUAL_SD_S, DelayEstimate
 from fes.stimulation.tuning.demand import GREATEST_AIM, LEAST_AIM, LEAST_AIM_AT_CONTACT, demands_of, leading, room
-from fes.stimulation.tuning.response import AT_CONTACT, BARE, BARE_SD, IN_SWING, SLOPE, ResponseModel
+from fes.stimulation.tuning.response import AT_CONTACT, BARE, BARE_SD, IN_SWING, JUMP_SD, SLOPE, SLOPE_SD, ResponseModel
 from fes.stimulation.tuning.targets import PITCH, Measure, Reading
 
 TOE = "toe clearance"
@@ -116,7 +116,8 @@ def test_after_a_shake_less_is_known_and_what_is_new_is_learnt_soon() -> None:
     threshold, slope, level = foot.model.threshold.sd, foot.model.slope(PITCH).sd, foot.model.expected(PITCH, 0.6).sd
     foot.model.shake()
     assert foot.model.threshold.sd > 2.0 * threshold
-    assert foot.model.slope(PITCH).sd > 1.5 * slope
+    assert foot.model.slope(PITCH).sd > max(0.95 * SLOPE_SD, 1.5 * slope)
+    assert foot.model.expected(PITCH, 0.0).sd > 0.95 * JUMP_SD
     assert foot.model.expected(PITCH, 0.6).sd > 5.0 * level
     foot.bare -= 0.5
     foot.walk(0.6, 0.6)
