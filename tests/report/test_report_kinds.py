@@ -158,8 +158,11 @@ def test_tuning_has_its_place_and_a_stumble_is_not_nothing(tmp_path: Path) -> No
     (channel,) = summary.channels
     peaks = [item.peak_current_ma for row in summary.strides for item in row.stimulation]
     changes = sum(row.changes for row in summary.tuning)
-    told = f"{channel.name}: tuning made {changes} changes, peak current from {peaks[0]:.1f} to {peaks[-1]:.1f} mA"
-    assert any(text.startswith(told) for text in texts(summary, "info"))
+    (told,) = [text for text in texts(summary, "info") if text.startswith(f"{channel.name}: ")]
+    assert told.startswith(f"{channel.name}: {peaks[0]:.1f} → {peaks[-1]:.1f} mA between strides ")
+    assert "toe clearance" in told.split(": ", 2)[2]
+    assert f"({changes} changes, " in told
+    assert any(text.startswith(f"{channel.name}, identified: threshold ") for text in texts(summary, "info"))
     stumbled = [stride.number for stride in walker.strides if stride.stumbled and stride.foot == channel.foot]
     assert stumbled, "this patient stumbles before it is tuned"
     toe = [text for text in texts(summary) if "toe came to the ground" in text or "whether it touched" in text]
@@ -194,6 +197,11 @@ def test_an_electrode_that_slipped_is_a_warning_that_says_when() -> None:
     why = "stride 5: something has changed that stimulation did not: most likely the electrodes; look at it"
     record = replace(make.walk(6), notes=[Note(make.at(8.0), "warning", "tuning", f"channel 0: {why}")])
     assert f"TA left: tuning found a fault at 8.0 s: {why}." in texts(summarise(record), "warning")
+    raised = "toe clearance 9 mm (target 20–50) in this stride, more is needed: current 28.0 → 30.0 mA"
+    change = Note(make.at(6.0), "info", "tuning", f"channel 0: {raised}")
+    record = replace(record, notes=[change, *record.notes])
+    (told,) = [text for text in texts(summarise(record), "info") if text.startswith("TA left: ") and "change" in text]
+    assert "toe clearance 9 mm (target 20–50) in this stride, more is needed; at 8 s the electrodes changed" in told
 
 
 def test_a_torn_log_is_judged_as_far_as_it_goes(tmp_path: Path, replays: Replays) -> None:

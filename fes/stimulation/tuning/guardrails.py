@@ -36,6 +36,12 @@ def at_most(wanted: BurstParameters, most: BurstParameters) -> BurstParameters:
     return replace(wanted, current_ma=min(wanted.current_ma, most.current_ma), widths_us=widths)
 
 
+def at_least(wanted: BurstParameters, least: BurstParameters) -> BurstParameters:
+    """``wanted``, nowhere weaker than ``least``."""
+    widths = tuple(max(pair) for pair in zip(wanted.widths_us, least.widths_us, strict=True))
+    return replace(wanted, current_ma=max(wanted.current_ma, least.current_ma), widths_us=widths)
+
+
 def strongest_drive(channel: Channel, tuning: Tuning) -> float:
     """The drive at the upper bound of what the method moves; 1 without bounds."""
     if tuning.bounds is None:

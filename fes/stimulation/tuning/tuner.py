@@ -17,6 +17,7 @@ from fes.stimulation.tuning.delay import STEP_S, DelayEstimate
 from fes.stimulation.tuning.demand import Demand, at_contact, demands_of, in_mid_swing, reason
 from fes.stimulation.tuning.faults import FaultWatch
 from fes.stimulation.tuning.guardrails import (
+    at_least,
     at_most,
     drive_of,
     limited,
@@ -422,6 +423,8 @@ class Tuner:
             wanted = self._shape.scaled(wanted, 1.0 + self._excited * EXCITATION / max(demands[0].drive, EXCITATION))
             self._excited = -self._excited
         after = limited(before, wanted, self.tuning)
+        if self._spared:
+            after = at_least(after, before)  # the hold, or a part of the profile, that less would do for
         if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
         if changes := difference(before, after):
