@@ -32,9 +32,8 @@ STILL_S = 0.6  # from the last step's landing until the shank rests
 _STANCES = np.linspace(0.02, 0.5, 481)  # phases at which a foot lies flat
 STANDING_PHASE = 0.30  # of the cycle, whose joint angles a standing leg has
 LOADING_S = 0.11
-SLOWED = 0.5  # share of its speed at contact with which the leg itself goes on at first
 PRE_SWING_SHARE = 0.17  # of the cycle, from heel off to foot off
-LANDING_MPS = -0.28  # the ankle's vertical speed at contact, at the least
+LANDING_MPS = -0.25  # the ankle's vertical speed at contact, at the least
 CLEARANCE_M = 0.017  # mean least toe clearance of healthy walkers (Winter, *Phys Ther* 72, 1992: 1.3 cm)
 HALF_WIDTH_M = 0.08
 TO_PLAN = 0.55  # share of the swing until the foot is on its planned path, where it begins on it
@@ -162,10 +161,9 @@ class Planner:
         leg["unload_s"] = support_s
         leg["unload_t"] = next_off_s - support_s
         leg["hold"] = 0.0
-        # the ground stops the landing foot, and the person helps
+        # the ground, not the plan, stops the landing foot: the plan stands still from now on
         self._phase(t_s, 0.0, normative.TOE_OFF_SHARE / max(next_off_s - t_s, 0.1))
-        slow = [SLOWED * float(leg[name]) for name in ("vx", "vz")]
-        still = (float(leg["x"]) - stand_x, slow[0], 0.0), (float(leg["z"]) - h, slow[1], 0.0)
+        still = (float(leg["x"]) - stand_x, 0.0, 0.0), (float(leg["z"]) - h, 0.0, 0.0)
         self._fade(t_s, LOADING_S, still, before[2])
 
     def stand(self, t_s: float) -> None:
