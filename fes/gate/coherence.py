@@ -32,7 +32,7 @@ RESTS_RADPS: Final = 0.6
 STEADY_MPS2: Final = 0.7  # along an axis, from the mean of the rest
 REST_NS: Final = 80_000_000
 LONG_REST_NS: Final = 200_000_000
-GRAVITY_OFF_MPS2: Final = 1.2  # in a long rest; real: 0.62
+GRAVITY_OFF_MPS2: Final = 1.6  # in a long rest; real: 0.62, a virtual foot that drags to its stop: 1.2
 LEAST_TURN_RAD: Final = 1.0  # between two rests: a swing lies between them
 SHORTEST_NS: Final = 8 * NS_PER_S // 10
 LONGEST_NS: Final = 5 * NS_PER_S // 2  # between two rests: what is added up for longer drifts
@@ -44,19 +44,21 @@ LESS_MPS2: Final = 1.6  # likewise; real: 1.28
 MORE_AT_FIRST_MPS2: Final = 1.5  # than gravity, until what is usual is known; real: 1.1
 LESS_AT_FIRST_MPS2: Final = 2.2  # likewise; real: 1.8
 WALKS_RADPS: Final = 0.5
-WALKED_NS: Final = 6 * NS_PER_S  # before the usual mean force counts as known …
+LEARNS_FORCE_NS: Final = 3 * NS_PER_S  # before the usual mean force counts as known …
 USUAL_FORCE_S: Final = 10.0  # … and over how long it is the mean
 HOP_NS: Final = 250_000_000
 HOPS: Final = 5  # 1.25 s: a stride of most
 FOLLOW: Final = 0.05  # a hop's share in an axis' usual range
 MOVES_MPS2, MOVES_RADPS = 4.0, 1.5  # the usual range begins with the first that somebody moves by
 OTHERS_MOVE: Final = 0.5  # of their usual range, in the middle of all axes
-LEAST_SHARE: Final = 0.02  # of its usual range: by that, and …
+USUAL_HOPS: Final = 12  # before an axis' usual range counts as known
+LEAST_SHARE: Final = 0.07  # of an axis' usual range against the other axes' share; real: 0.139, simulated turns 0.105
+MOVE_SHARE: Final = 0.02  # of its usual range: by that, and …
 LEAST: Final = (0.3, 0.3, 0.3, 0.1, 0.1, 0.1)  # … by so much at least (m/s², rad/s), an axis has moved
 LIVES: Final = 3.0  # times the least: an axis that is used to less is not judged
 MOST_STILL: Final = 2.8  # times as far as before all axes may go, in usual ranges, while one is still; real: 2.1
-STILL_WAY: Final = 4.0  # as far as that counts as before, however seldom it is still …
-STILL_WAY_AT_FIRST, KNOWN_WAY = 12.0, 120.0  # … and until they have gone six strides' way
+STILL_SUM: Final = 4.0  # as far as that counts as before, however seldom it is still …
+STILL_SUM_AT_FIRST, KNOWN_SUM = 12.0, 120.0  # … and until they have gone six strides' way
 FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
 NONE_SAME: Final = (False, False, False)
 Turn = tuple[Vector3, Vector3, Vector3]
@@ -341,7 +343,7 @@ class MeanForce:
             return 0.0
         size_mps2 = math.sqrt(x * x + y * y + z * z)
         off_mps2 = size_mps2 - self._usual_mps2
-        known = self._walked_ns >= WALKED_NS
+        known = self._walked_ns >= LEARNS_FORCE_NS
         if known:
             wrong = not -LESS_MPS2 <= off_mps2 <= MORE_MPS2
         else:
@@ -365,6 +367,7 @@ class Stillness:
     def __init__(self) -> None:
         self._usual: list[float] = []
         self._least = list(LEAST)
+        self._known = 0  # hops in which the usual ranges were learnt
         self._farthest = [0.0] * 6
         self._gone = 0.0  # by all axes so far
         self._may_go = [math.inf] * 6  # while an axis is still
@@ -383,12 +386,11 @@ class Stillness:
         """Take in means of force and rate; the number of an axis that is stuck, -1 for none."""
         self._means.append(means)
         self._ns += block_ns
-        if self._ns >= HOP_NS:
-            self._hop()
+        stuck = self._hop() if self._ns >= HOP_NS else -1
         if not self._usual or not self._at:
             self._at = list(means)
             return -1
-        at, until, gone, stuck, moved = self._at, self._until, self._gone, -1, []
+        at, until, gone, moved = self._at, self._until, self._gone, []
         axis = 0
         for now, then, least in zip(means, at, self._least, strict=True):
             if now - then > least or then - now > least:
@@ -416,29 +418,34 @@ class Stillness:
                 self._farthest[axis] = before - since[axis]
             since[axis], until[axis] = gone, gone + may_go[axis]
 
-    def _hop(self) -> None:
-        """What an axis goes through in a stride is learnt as long as most axes move."""
+    def _hop(self) -> int:
+        """What an axis goes through in a stride is learnt while most move; one that then hardly moves is stuck."""
         axes = list(zip(*self._means, strict=True))
         self._hops = [*self._hops[1 - HOPS :], ([*map(min, axes)], [*map(max, axes)])]
         self._means, self._ns = [], 0
         if len(self._hops) < HOPS:
-            return
+            return -1
         least, most = zip(*self._hops, strict=True)
         ranges = [high - low for high, low in zip(map(max, *most), map(min, *least), strict=True)]
         if not self._usual:
             if max(ranges[:3]) <= MOVES_MPS2 or max(ranges[3:]) <= MOVES_RADPS:
-                return
+                return -1
             self._usual = [max(each, 1e-6) for each in ranges]
-        else:
-            ranked = sorted(now / usual for now, usual in zip(ranges, self._usual, strict=True))
-            if 0.5 * (ranked[2] + ranked[3]) > OTHERS_MOVE:
-                self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
-        self._least = [max(LEAST_SHARE * usual, least) for usual, least in zip(self._usual, LEAST, strict=True)]
-        rarely = STILL_WAY if self._gone > KNOWN_WAY else STILL_WAY_AT_FIRST
+        shares = [now / usual for now, usual in zip(ranges, self._usual, strict=True)]
+        ranked = sorted(shares)
+        middle = 0.5 * (ranked[2] + ranked[3])
+        if middle > OTHERS_MOVE:
+            if self._known >= USUAL_HOPS and ranked[0] < LEAST_SHARE * middle:
+                return shares.index(ranked[0])
+            self._known += 1
+            self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
+        self._least = [max(MOVE_SHARE * usual, least) for usual, least in zip(self._usual, LEAST, strict=True)]
+        rarely = STILL_SUM if self._gone > KNOWN_SUM else STILL_SUM_AT_FIRST
         self._may_go = [
             MOST_STILL * max(way, rarely) if usual >= LIVES * least else math.inf
             for way, usual, least in zip(self._farthest, self._usual, LEAST, strict=True)
         ]
+        return -1
 
 
 def turn_of(rate: Vector3, block_s: float) -> Turn:
