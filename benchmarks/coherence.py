@@ -36,7 +36,7 @@ from fes.recording import Track
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample, Vector3
 from fes.simulation.forward import VirtualPatient
 
-STRIDE_S, BEFORE_S, LONGEST_S = 1.5, 8.0, 3.0
+STRIDE_S, BEFORE_S, LONGEST_S = 1.5, 20.0, 3.0  # what is usual of a person is learnt in the 20 s before
 LYING = "P06"
 STALL_NS, AROUND_NS = 60_000_000, 3 * NS_PER_S
 ACC_NOISE, GYR_NOISE = 0.05, 0.02
