@@ -43,7 +43,7 @@ def solve_stride(
     for name, phase in zip(ENTRIES, Phase, strict=True):
         row[name] = times.get(phase, UNSEEN_NS)
     out.filled[segmentation.STRIDES] = 1
-    own = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
+    own = new_core(segmentation.STRIDE_STATE, settings=settings.compiled(foot))
     segmentation.restart(own, 0)
     own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
     segmentation.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)

@@ -9,10 +9,7 @@ Figures are estimate − truth in degrees over the strides of all patients, and 
 for the former: 1.5° for the mean, 2° for the SD.
 
 Markers: gaitmap_walk, lateral shoes, heel, toe and fifth metatarsal; roll is the angle of the markers' mediolateral
-axis against the horizontal since the stride's start. The markers' long axis is the line from heel to toe, the sensor's
-is at right angles to the axis about which the foot swings: no sensor knows where the toe is. So the markers are shown
-with their own long axis, and with it turned inward by the angle that fits best from mid-swing to contact (one of each
-foot, found on these strides): by how much the first row errs more is the axis's doing, not the measurement's.
+axis against the horizontal since the stride's start, their long axis the line from heel to toe.
 """
 
 from __future__ import annotations
@@ -27,7 +24,6 @@ from closed_loop_walk import calibration_of, walk
 from command_line import console_of, parser_of, save, verdict
 from real_sets import PathWalk, gaitmap_walk
 from rich.table import Table
-from scipy.optimize import minimize_scalar
 from stroke_treadmill import data_folder, track_foot
 from tuning_cohort import channel_of, session_with
 
@@ -36,14 +32,13 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.signals import FloatArray, StrideResult
 from fes.simulation.forward import PatientSettings, VirtualPatient, draw_patient
 from fes.simulation.sensor import Placement
-from fes.stimulation.tuning.targets import roll_at_contact_rad, times_ns
+from fes.stimulation.tuning.targets import roll_at_contact_rad
 
 FOOT = "right_foot"
 SEED, PATIENTS, SECONDS, STRIDES = 4711, 15, 60.0, 60
 CURRENT_MA = 30.0
 TURNED_DEG = (15.0, -10.0, 40.0)
 NEAR_NS = 100_000_000
-SWING_POINTS = 21
 BIAS_DEG, SD_DEG = 1.5, 2.0
 
 
@@ -111,51 +106,26 @@ def row_of(condition: str, found: dict[str, FloatArray]) -> Row:
     return Row(condition, len(every), float(errors.mean()), float(errors.std(ddof=1)), spread, means)
 
 
-def marked_swings(one: PathWalk) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Of every straight stride its roll (M,) in rad at equal steps from mid-swing to contact, and how far up the
-    markers' forward and inner axes point then and, last, at the stride's start (M + 1, 2).
-    """
-    inward = 1.0 if one.name == "right" else -1.0
-    frame = one.frame if one.frame is not None else np.empty((0, 3, 3))
-    up, at_s = np.column_stack((frame[:, 2, 0], inward * frame[:, 2, 1])), np.arange(len(frame)) / one.rate_hz
-    for stride in track_foot(one.track, calibrate_track(one.track)):
-        if not isinstance(stride, StrideResult) or not stride.valid or not one.comparable(stride):
-            continue
-        off_ns, contact_ns = stride.t_swing_ns, stride.t_loading_response_ns
-        if off_ns is None or contact_ns is None:
-            continue
-        when_s = 1e-9 * np.append(np.linspace(0.5 * (off_ns + contact_ns), contact_ns, SWING_POINTS), stride.t_start_ns)
-        marked = np.column_stack([np.interp(when_s, at_s, up[:, k], math.nan, math.nan) for k in range(2)])
-        if np.isfinite(marked).all():
-            yield np.interp(when_s[:-1], 1e-9 * np.array(times_ns(stride)), stride.roll_rad), marked
-
-
-def marked_roll(marked: FloatArray, inward_rad: float) -> FloatArray:
-    """(M,) rad by the markers, their long axis turned inward by so much."""
-    ahead, inner = marked.T
-    roll = np.arcsin(np.clip(math.cos(inward_rad) * inner - math.sin(inward_rad) * ahead, -1.0, 1.0))
-    return np.asarray(roll[:-1] - roll[-1])
-
-
 def marker_rows(folder: Path) -> Iterator[Row]:
-    """At contact on the walk with markers: by the markers' long axis, and by the sensor's."""
-    own_axis, same_axis, apart_deg = {}, {}, []
+    """At contact, straight strides of the walk with markers; none without it."""
+    found = {}
     for one in gaitmap_walk(folder):
-        if not isinstance(one, PathWalk):
+        if not isinstance(one, PathWalk) or one.frame is None:
             continue
-        swings = list(marked_swings(one))
-
-        def apart(inward_rad: float, swings: list[tuple[FloatArray, FloatArray]] = swings) -> float:
-            return sum(float(np.sum((roll - marked_roll(marked, inward_rad)) ** 2)) for roll, marked in swings)
-
-        inward_rad = minimize_scalar(apart, bounds=(-0.6, 0.6), method="bounded").x
-        apart_deg.append(f"{math.degrees(inward_rad):.0f}°")
-        for found, angle_rad in ((own_axis, 0.0), (same_axis, inward_rad)):
-            pairs = [(roll[-1], marked_roll(marked, angle_rad)[-1]) for roll, marked in swings]
-            found[one.name] = np.degrees(pairs)
-    if own_axis:
-        yield row_of("markers, heel to toe", own_axis)
-        yield row_of(f"markers, turned inward by {' and '.join(apart_deg)}", same_axis)
+        inward = 1.0 if one.name == "right" else -1.0
+        marked, at_s = inward * np.arcsin(one.frame[:, 2, 1]), np.arange(len(one.frame)) / one.rate_hz
+        pairs = []
+        for stride in track_foot(one.track, calibrate_track(one.track)):
+            if not isinstance(stride, StrideResult) or not stride.valid or not one.comparable(stride):
+                continue
+            contact_ns, roll = stride.t_loading_response_ns, roll_at_contact_rad(stride)
+            if contact_ns is not None:
+                start, end = np.interp((1e-9 * stride.t_start_ns, 1e-9 * contact_ns), at_s, marked, math.nan, math.nan)
+                pairs.append((roll, end - start))
+        angles = np.degrees(pairs)
+        found[one.name] = angles[np.isfinite(angles).all(axis=1)]
+    if found:
+        yield row_of("gaitmap walk, markers", found)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -98,7 +98,7 @@ def test_a_strides_shape_is_interpolated_and_turned() -> None:
     position = np.cumsum(RNG.normal(0.02, 0.01, (n, 3)), axis=0)
     position -= position[0]
     out = np.empty((101, 5))
-    stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, out)
+    stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, out)
     highest, turn = height_and_turn(quaternion, position, 1.0, 0.0, 0.0)
     assert highest == position[:, 2].max()
     assert turn == pytest.approx(0.0, abs=1e-12)
@@ -120,9 +120,31 @@ def test_a_strides_tilt_is_of_the_mediolateral_axis_however_steep_the_foot_stand
     forward, up = mounted.inv().apply((1.0, 0.0, 0.0)), mounted.inv().apply((0.0, 0.0, 1.0))
     quaternion = np.ascontiguousarray(np.roll((turned * mounted).as_quat(), 1, axis=1))
     t_ns, position, out = 10_000_000 * np.arange(80), np.zeros((80, 3)), np.empty((80, 5))
-    stride_shape(t_ns, quaternion, position, *forward, *up, out)
+    stride_shape(t_ns, quaternion, position, *forward, *up, 0.1, out)
     assert out[:, 4] == pytest.approx(tilt, abs=1e-9)
     assert math.sin(out[-1, 3]) == pytest.approx(math.sin(pitch[-1]) * math.cos(tilt[-1]), abs=1e-9)
+
+
+@pytest.mark.parametrize("toe_out_deg", [-7.0, 7.0])
+@pytest.mark.parametrize("turn_deg", [0.0, 20.0])
+@pytest.mark.parametrize("off_deg", [-15.0, 12.0])
+def test_a_strides_tilt_is_of_the_foot_even_where_it_swings_about_another_axis(
+    off_deg: float, turn_deg: float, toe_out_deg: float
+) -> None:
+    """The axis that the calibration found lies ``off_deg`` left of the foot's own, which points out of the way."""
+    tilt, pitch = np.radians(np.linspace(0.0, 12.0, 80)), np.radians(np.linspace(0.0, 25.0, 80))
+    tilt[-1] = pitch[-1] = 0.0  # stances at both ends
+    heading = np.radians(toe_out_deg + np.linspace(-0.5, 0.5, 80) * turn_deg)
+    turned = Rotation.from_euler("ZXY", np.column_stack((heading, tilt, -pitch)))
+    quaternion = np.ascontiguousarray(np.roll(turned.as_quat(), 1, axis=1))
+    forward = (math.cos(math.radians(off_deg)), math.sin(math.radians(off_deg)), 0.0)
+    position, out = np.column_stack((np.linspace(0.0, 1.0, 80), np.zeros((80, 2)))), np.empty((80, 5))
+    t_ns = 10_000_000 * np.arange(80)
+    stride_shape(t_ns, quaternion, position, *forward, 0.0, 0.0, 1.0, math.radians(toe_out_deg), out)
+    assert out[:, 4] == pytest.approx(tilt, abs=1e-9)
+    sideways = np.ascontiguousarray(position[:, [1, 0, 2]])
+    stride_shape(t_ns, quaternion, sideways, *forward, 0.0, 0.0, 1.0, math.radians(toe_out_deg), out)
+    assert np.abs(out[:, 4] - tilt).max() > math.radians(3.0)  # nothing but the calibrated axis is known then
 
 
 @pytest.mark.parametrize("stances", [1, 2, 7])

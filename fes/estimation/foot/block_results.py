@@ -7,7 +7,14 @@ import numpy as np
 from fes.estimation.clearance.clearance import FootPaths
 from fes.estimation.numerics.records import record_type
 from fes.estimation.strides.integration import stride_shapes
-from fes.estimation.strides.results import TRAJECTORY_POINTS, Rows, StrideSettings, stride_paths, stride_results
+from fes.estimation.strides.results import (
+    TRAJECTORY_POINTS,
+    Rows,
+    StrideSettings,
+    stride_paths,
+    stride_results,
+    toe_out_rad,
+)
 from fes.estimation.strides.segmentation import CHANGES, STRIDES, new_out
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
@@ -75,7 +82,8 @@ class TrackedBlock:
         shapes = np.zeros((len(rows), TRAJECTORY_POINTS, 5))
         firsts, counts = rows["first"].copy(), rows["rows"].copy()
         (fx, fy, fz), (ux, uy, uz) = self._settings.forward.tolist(), self._settings.up.tolist()
-        stride_shapes(firsts, counts, out.t_ns, out.quaternion, out.position, fx, fy, fz, ux, uy, uz, shapes)
+        toe_out = toe_out_rad(self._foot)
+        stride_shapes(firsts, counts, out.t_ns, out.quaternion, out.position, fx, fy, fz, ux, uy, uz, toe_out, shapes)
         if self.longer is not None:
             shapes[:, :, 0] *= self.longer[:, None]
         return shapes

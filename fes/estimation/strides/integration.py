@@ -202,6 +202,7 @@ def effects(t_ns: Vec, quaternions: Mat, effect: Mat) -> None:
 
 
 LEAST_BACKWARD_M, MOST_BACKWARD_TURN_RAD = 0.15, 0.5 * math.pi
+MOST_OFF_AXIS_RAD = math.radians(40.0)  # beyond it a stride goes sideways
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
@@ -264,7 +265,7 @@ def goes_backward(quaternion: Mat, position: Mat, turn: float, fx: float, fy: fl
 @jit_fused
 def stride_shape(
     t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
-    out: Mat,
+    toe_out: float, out: Mat,
 ) -> None:  # fmt: skip
     """Fill ``out`` (K, 5): ahead, left and up (m) in the direction of the stride, pitch and tilt (rad) since its start.
 
@@ -272,10 +273,18 @@ def stride_shape(
     side up: asin of the axis's vertical component. Neither feels the heading, and a foot that turns about its
     mediolateral axis alone keeps its tilt, however steep it stands. ``t_ns`` (N,) are the time stamps; the K rows of
     ``out`` are evenly spaced from the first to the last, linear in between. ``u`` is the unit vector up, foot flat, in
-    the sensor frame, at right angles to ``f``. The others are as for :func:`height_and_turn`.
+    the sensor frame, at right angles to ``f``. ``toe_out`` is how far left of the stride's direction the foot's long
+    axis lies (rad): its mediolateral axis is at right angles to that, :func:`_off_axis`. The others are as for
+    :func:`height_and_turn`.
     """
     n, count = t_ns.shape[0], out.shape[0]
-    lx, ly, lz = uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx
+    off = _off_axis(quaternion, position, fx, fy, fz, toe_out)
+    c, s = math.cos(off), math.sin(off)
+    lx, ly, lz = (
+        c * (uy * fz - uz * fy) - s * fx,
+        c * (uz * fx - ux * fz) - s * fy,
+        c * (ux * fy - uy * fx) - s * fz,
+    )
     pitch, tilt = np.empty(n), np.empty(n)
     for i in range(n):
         _, _, up = _pointing(quaternion, i, fx, fy, fz)
@@ -303,16 +312,34 @@ def stride_shape(
         out[k, 4] = tilt[i] + share * (tilt[i + 1] - tilt[i]) - tilt[0]
 
 
+@inlined
+def _off_axis(quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, toe_out: float) -> float:
+    """How far left of ``f`` the foot's long axis points, rad; 0 where the stride says nothing of it.
+
+    ``f`` is at right angles to the axis about which the foot swings, which the leg's turn bends off the foot's own; the
+    foot points ``toe_out`` left of where its stride leads, the headings of both its stances meaned.
+    """
+    last = position.shape[0] - 1
+    dx, dy = position[last, 0] - position[0, 0], position[last, 1] - position[0, 1]
+    if math.hypot(dx, dy) < LEAST_BACKWARD_M:
+        return 0.0
+    ahead, left, _ = _pointing(quaternion, 0, fx, fy, fz)
+    ahead_then, left_then, _ = _pointing(quaternion, last, fx, fy, fz)
+    ahead, left = ahead + ahead_then, left + left_then
+    off = math.atan2(ahead * dy - left * dx, ahead * dx + left * dy) + toe_out
+    return off if abs(off) < MOST_OFF_AXIS_RAD else 0.0
+
+
 @jit_fused
 def stride_shapes(
     firsts: Vec, counts: Vec, t_ns: Vec, quaternion: Mat, position: Mat,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, out: Mat,
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, toe_out: float, out: Mat,
 ) -> None:  # fmt: skip
     """As :func:`stride_shape` of S strides, of each ``counts`` rows from ``firsts`` on, (S,); ``out`` (S, K, 5)."""
     for k in range(firsts.shape[0]):
         a, b = firsts[k], firsts[k] + counts[k]
         if b > a:
-            stride_shape(t_ns[a:b], quaternion[a:b], position[a:b], fx, fy, fz, ux, uy, uz, out[k])
+            stride_shape(t_ns[a:b], quaternion[a:b], position[a:b], fx, fy, fz, ux, uy, uz, toe_out, out[k])
 
 
 @inlined

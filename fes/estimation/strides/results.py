@@ -26,6 +26,7 @@ from fes.signals import FloatArray, StrideResult
 from statemachine.phases import Phase
 
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
+TOE_OUT_RAD = math.radians(7.0)  # most feet 5–10° (Morton, J Bone Joint Surg 14, 1932)
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
 _NAMES = STRIDE.names or ()
@@ -53,8 +54,8 @@ class StrideSettings:
     method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
     watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
 
-    def compiled(self) -> SegmentationSettings:
-        """For the compiler."""
+    def compiled(self, foot: str) -> SegmentationSettings:
+        """For the compiler, of this foot's sensor."""
         known, (fx, fy, fz), (ux, uy, uz) = self.geometry, self.forward.tolist(), self.up.tolist()
         return SegmentationSettings(
             forward_x=fx,
@@ -71,7 +72,13 @@ class StrideSettings:
             toe_up_m=known.toe_up_m if known else 0.0,
             heel_forward_m=known.heel_forward_m if known else 0.0,
             heel_up_m=known.heel_up_m if known else 0.0,
+            toe_out_rad=toe_out_rad(foot),
         )
+
+
+def toe_out_rad(foot: str) -> float:
+    """How far a foot points from where its stride leads, to the left positive: outward by :data:`TOE_OUT_RAD`."""
+    return TOE_OUT_RAD if foot.startswith("left") else -TOE_OUT_RAD
 
 
 class StrideMaker:
@@ -80,7 +87,7 @@ class StrideMaker:
     def __init__(self, foot: str, settings: StrideSettings) -> None:
         self.foot = foot
         self.settings = settings
-        self.core = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
+        self.core = new_core(segmentation.STRIDE_STATE, settings=settings.compiled(foot))
         segmentation.restart(self.core, 0)
 
     def keep_in(self, core: Rows) -> None:

@@ -91,6 +91,7 @@ class SegmentationSettings(NamedTuple):
     toe_up_m: float
     heel_forward_m: float
     heel_up_m: float
+    toe_out_rad: float  # to the left positive
 
 
 STRIDE_STATE = core_type(STATE, settings=SegmentationSettings)
@@ -276,7 +277,9 @@ def solve_rows(
         return
     if k < out.shapes.shape[0]:
         ux, uy, uz = settings.up_x, settings.up_y, settings.up_z
-        stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, ux, uy, uz, out.shapes[k])
+        stride_shape(
+            out.t_ns[at : at + count], quaternion, position, fx, fy, fz, ux, uy, uz, settings.toe_out_rad, out.shapes[k]
+        )
     row.stride_length_sd_m, row.free_rise_m = numbers[LENGTH_SD], numbers[FREE_RISE]
     row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
