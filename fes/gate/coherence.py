@@ -176,9 +176,8 @@ class Coherence:
             return f"{self._sensor} moves as ever, but its {_AXES[axis]} does not feel it: stuck?"
         turn = turn_of((p, q, r), block_s)
         if felt_mps2 := self._mean_force.wrong((x, y, z), turn, rate_radps, block_ns):
-            fault = (
-                f"{self._sensor}'s force and turn do not fit: {felt_mps2:.1f} m/s² of gravity: an axis stuck, scaled?"
-            )
+            felt = f"{felt_mps2:.1f} m/s² of gravity"
+            fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled, its unit?"
         else:
             fault = self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), turn, rate_radps, block_ns)
         if fault:
@@ -253,7 +252,7 @@ class Coherence:
             excess_mps2 = self._upward_mps / (1e-9 * max(self._since_rest_ns, SHORTEST_NS))
             if excess_mps2 > EXCESS_MPS2:
                 felt = f"{G_MPS2 + excess_mps2:.1f} m/s² of gravity in a stride"
-                fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled?"
+                fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled, its unit?"
         elif self._resting_ns > LONG_REST_NS and abs(size_mps2 - G_MPS2) > GRAVITY_OFF_MPS2:
             fault = f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
         if size_mps2 > 0.0:

@@ -249,7 +249,7 @@ EVENT_FAULTS: dict[str, tuple[Callable[[ImuSample, int], list[Event]], str]] = {
     "a gyroscope that feels nothing": (deaf_gyroscope, "does not feel it"),
     "one triad frozen": (one_triad_frozen, "is frozen"),
     "one axis that feels no turn": (lambda s, n: hanging(s, n, felt=False), "x axis does not feel it: stuck?"),
-    "one axis stuck": (stuck, "an axis stuck, scaled?"),
+    "one axis stuck": (stuck, "an axis stuck, scaled, its unit?"),
     "scaled at rest": (larger, "at rest, gravity is 9.8: is it scaled?"),
     "dangling": (lambda s, n: hanging(s, n, felt=True), "does it dangle?"),
     "silent in stance": (silent_in_stance, "what comes now may be late"),
@@ -418,7 +418,7 @@ def test_why_the_tuner_went_where_it_went(tmp_path: Path) -> None:
     _, log = closed_loop(tmp_path, "tuned.feslog", 26.0)
     record = read_session(log)
     changes = [note for note in record.notes if note.source == "tuning" and " → " in note.text]
-    (tuned,) = explained(log, 25.5)["tuning"]
+    (tuned,) = explained(log, 25.95)["tuning"]
     assert [text for _, text in tuned["changes"]] == [note.text.removeprefix("channel 0: ") for note in changes]
     last_ma = changes[-1].text.split(" → ")[1].split()[0]
     assert f"current 12.0 → {last_ma} mA in {len(changes)} changes" in tuned["why"]

@@ -134,7 +134,7 @@ def test_fes_simulate_in_closed_loop_writes_a_session_log(tmp_path: Path) -> Non
 
 def test_fes_simulate_says_why_nothing_was_stimulated_any_more(tmp_path: Path) -> None:
     """At 2 m/s this foot comes down harder than the gate believes."""
-    walk = ("--severity", "healthy", "--speed", "2", "--seconds", "12", "--seed", "2")
+    walk = ("--severity", "severe", "--speed", "2", "--seconds", "12", "--seed", "3")
     code, out = invoke(*walk, "--stimulate", "phase", "--out", str(tmp_path))
     assert code == 0, out
     assert "The gate latched once at 5.5" in out

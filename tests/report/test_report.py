@@ -89,8 +89,8 @@ def test_report_holds_every_section_and_loads_nothing(tmp_path):
     assert "Research software, not a medical device" in page.text
     assert "24 of 24 swings passed all four phases" in page.text
     assert "2026-11-20 10:00 UTC" in page.text
-    # first page, over the stride, butterfly, space, each stride, phases, stimulation, envelopes, latency
-    assert html.count('<svg class="plot') == 2 + 3 + 2 + 1 + 2 + 2 + 2 + 2 + 1
+    # first page, over the stride, butterfly, space, each stride, phases, stimulation, envelopes, swing, latency
+    assert html.count('<svg class="plot') == 2 + 3 + 2 + 1 + 2 + 2 + 2 + 2 + 2 + 1
     assert "Permission is hereby granted" in page.scripts[-2]
     assert not list(path.parent.glob("*.part"))
 
