@@ -396,3 +396,20 @@ def test_strides_out_of_order_or_told_twice_are_skipped_and_a_clock_set_back_cos
         report = tuner.observe(number, stride(number, 0.02), charge_of(tuner.parameters), 1.0)
         told.append(report is not None and "no newer than the stride before" in report.text)
     assert told == [False, False, True, True, False, False]
+
+
+@pytest.mark.parametrize("act", ["roll_back", "freeze"])
+def test_what_a_person_ended_on_stairs_does_not_come_back_on_even_ground(act: str) -> None:
+    plant = Plant(baseline_m=-0.04, noise_m=0.0)
+    tuner = walk(plant, 20).tuner
+    learnt_ma = tuner.parameters.current_ma
+    assert learnt_ma > tuner.start.current_ma + 4.0
+    for number in range(20, 30):  # stairs: step by step to the session's own settings
+        up = stride(number, 0.02, height_gained_m=0.17)
+        tuner.observe(number * SECOND, up, charge_of(tuner.parameters), 1.0)
+    assert tuner.parameters == tuner.start
+    getattr(tuner, act)(30 * SECOND)
+    tuner.resume(30 * SECOND)
+    report = tuner.observe(31 * SECOND, stride(31, 0.025), charge_of(tuner.parameters), 1.0)
+    after = tuner.observe(32 * SECOND, stride(32, 0.025), charge_of(tuner.parameters), 1.0)
+    assert all(each is None or "still going back" not in each.text for each in (report, after))

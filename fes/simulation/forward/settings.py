@@ -92,9 +92,7 @@ class PatientSettings:
     knee_flexion: float = 1.0  # of both knees, as a share of what is normal or the pattern's
     early_lift_m: float = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
     leg_twist_deg: float = 19.0  # outward turn of the leg about its long axis from stance to early swing
-    toe_break_deg: float = (
-        20.0  # from square across the foot to the line through the toes' joints, where the heel rises
-    )
+    toe_break_deg: float = 20.0  # from square across the foot to the line through the toes' joints
     shoe_stiffness: float = 1.0  # of sole and heel pad, 1 being a heel that gives way by 8 mm under half the weight
     strap_hz: float = 30.0  # natural frequency of a sensor on strap, shoe and skin
     strap_damping: float = 0.7  # … and its damping ratio

@@ -142,7 +142,7 @@ class Tuner:
         self._spared = 0  # strides in which nothing is lowered, for a fault was found
         self._returning: BurstParameters | None = None
         self._even: BurstParameters | None = None  # what was learnt on even ground, while it is put away
-        self._climb: tuple[BurstParameters, float] | None = None  # the weakest settings since it was last lowered
+        self._climb: BurstParameters | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
         self._roll_backs = 0
         self._reached = 0
@@ -163,8 +163,10 @@ class Tuner:
 
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
-        self.frozen, self.pending, self._returning = why, None, None
+        self.frozen, self.pending = why, None
+        self._returning = self._even = None  # what was in force before does not come back by itself
         self._answers.forget()
+        self.memory.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
 
     def stay(self) -> None:
@@ -344,7 +346,7 @@ class Tuner:
         slope = self.model.slope(worst.name)
         if self._climb is None or slope.value + CONTRARY_SDS * slope.sd >= 0.0 or outside(worst.level) == 0.0:
             return None
-        settings, _ = self._climb
+        settings = self._climb
         if drive_of(self.parameters, settings) - 1.0 < CLIMBED:
             return None
         if self._once_too_often(t_ns):
@@ -474,7 +476,7 @@ class Tuner:
         if drive_of(after, before) != 1.0:
             self._settle, self.still = 1, 0
         if drive_of(after, before) < 1.0 or self._climb is None:
-            self._climb = (after if drive_of(after, before) < 1.0 else before, 0.0)
+            self._climb = after if drive_of(after, before) < 1.0 else before
         self.parameters = after
         return self._report(t_ns, "change", text, before)
 
