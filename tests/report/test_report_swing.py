@@ -65,6 +65,16 @@ def test_pitch_and_roll_of_the_stimulated_foot_with_the_target_it_has() -> None:
     assert "through the swing, right foot" not in page
 
 
+def test_the_evertors_target_is_drawn_as_inversion() -> None:
+    bounds = TUNED["bounds"]
+    everts = {"mode": "act", "eversion_at_contact_deg": {"low": -3.0, "high": 6.0}, "bounds": bounds}
+    record = session()
+    channels = [channel(0, "left_foot", "TA left", tuning=TUNED), channel(1, "left_foot", "Peronei", tuning=everts)]
+    pitch, roll = figures_of(replace(record, header=header(channels)))
+    assert "Green: the target at contact, -6 to 3°." in roll.caption
+    assert "Green: the target at contact, 4 to 25°." in pitch.caption
+
+
 def test_the_mean_is_of_the_first_five_and_of_the_last_ten(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[tuple[str, FloatArray, FloatArray]] = []
 

@@ -77,10 +77,13 @@ def _through_swing(stride: StrideResult, name: str) -> FloatArray | None:
 
 
 def _target(data: ReportData, foot: str, name: str) -> Band | None:
-    """What a channel of this foot is tuned to at contact; None where no channel says."""
+    """What a channel of this foot is tuned to at contact, as the panel counts the angle; None where no channel says."""
     for channel in data.settings.channels if data.settings else ():
-        if channel.foot == foot and channel.tuning is not None and channel.tuning.mode != "off":
-            band: Band | None = getattr(channel.tuning, f"{name}_at_contact_deg", None)
-            if band is not None:
-                return band
+        tuning = channel.tuning
+        if channel.foot != foot or tuning is None or tuning.mode == "off":
+            continue
+        if name == "pitch" and tuning.pitch_at_contact_deg is not None:
+            return tuning.pitch_at_contact_deg
+        if name == "roll" and (eversion := tuning.eversion_at_contact_deg) is not None:
+            return Band(low=-eversion.high, high=-eversion.low)
     return None
