@@ -57,10 +57,15 @@ class OperatorAction(StrEnum):
     TRIGGER = "trigger"
     EXERCISE = "exercise"
     SET_BELT_SPEED = "set_belt_speed"
+    SET_INCLINE = "set_incline"
+    FREE_GROUND = "free_ground"
     FREEZE_TUNING = "freeze_tuning"
     RESUME_TUNING = "resume_tuning"
     ACCEPT_SUGGESTION = "accept_suggestion"
     ROLL_BACK = "roll_back"
+
+
+GROUND_ACTS = frozenset((OperatorAction.SET_INCLINE, OperatorAction.FREE_GROUND))  # what is walked on, and no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +89,9 @@ class OperatorAct:
     ``value`` is the intensity (0–1) for SET_INTENSITY, the channel's number for TEST_BURST (a short burst at rest),
     TRIGGER (a burst now, as at the start of a step), EXERCISE (one of a set that a person has armed),
     ACCEPT_SUGGESTION (what its tuning last suggested) and ROLL_BACK (to the session's own settings), the belt's speed
-    in m/s for SET_BELT_SPEED; unused otherwise. ``why`` is what made the session freeze its tuning by itself, when a
-    person armed it; "" for what a person asked for.
+    in m/s for SET_BELT_SPEED, what the ground rises per horizontal distance for SET_INCLINE; unused otherwise, also for
+    FREE_GROUND (stairs, ramps: nobody knows), which is an action of its own so that no value is NaN. ``why`` is what
+    made the session freeze its tuning by itself, when a person armed it; "" for what a person asked for.
     """
 
     t_ns: int

@@ -3,6 +3,7 @@
 from fes.config.base import PHASE_ORDER, ConfigError, Foot, Phase, Positive, Settings, explain, read_toml
 from fes.config.channel import Channel, ChannelLimits, Stimulation
 from fes.config.session import (
+    STEEPEST_PERCENT,
     Bus,
     Exercise,
     FootGeometry,
@@ -18,8 +19,8 @@ from fes.config.session import (
 from fes.config.tuning import Band, Bounds, Tuning
 
 __all__ = [
-    "PHASE_ORDER", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise", "Foot",
-    "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation",
+    "PHASE_ORDER", "STEEPEST_PERCENT", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise",
+    "Foot", "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation",
     "StimulatorDevice", "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml",
     "validate_session",
 ]  # fmt: skip

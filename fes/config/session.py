@@ -21,6 +21,7 @@ from fes.config.base import ConfigError, Foot, SensorName, Settings, explain, re
 from fes.config.channel import Channel, Stimulation
 from fes.config.thresholds import Value, check_thresholds
 
+STEEPEST_PERCENT: Final = 25.0  # steeper than any treadmill goes
 Options = dict[str, str | int | float | bool]
 IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "lsl")
 STIMULATORS: Final = ("can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen")
@@ -139,7 +140,7 @@ class Treadmill(Settings):
 class Ground(Settings):
     """What is walked on: level; an incline, in percent, uphill positive; or anything else (stairs, ramps both ways)."""
 
-    incline_percent: float = Field(default=0.0, ge=-25, le=25)
+    incline_percent: float = Field(default=0.0, ge=-STEEPEST_PERCENT, le=STEEPEST_PERCENT)
     free: bool = False
 
     @model_validator(mode="after")

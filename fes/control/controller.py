@@ -3,14 +3,16 @@
 Everything it knows came as an event, so the same events give the same decisions, live and in replay.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 
-from fes.config import Session
+from fes.config import STEEPEST_PERCENT, Session
 from fes.estimation.sensor_choice import Calibration, phase_sensors, tracker_of
 from fes.estimation.tracking.tracker import Outcome, Tracker
 from fes.signals import (
+    GROUND_ACTS,
     NS_PER_S,
     Event,
     ImuSample,
@@ -28,6 +30,7 @@ from fes.stimulation.walking import SwitchFallback, WalkingJudge
 from statemachine.phases import Phase, PhaseChange
 
 CURRENT_STEP_MA = 0.5  # of most stimulators
+STEEPEST = 0.01 * STEEPEST_PERCENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,8 @@ class Controller:
     """From events to requests: tracker per foot, walking judge per foot, one plan, a tuner per channel that has one.
 
     Calibrations are by sensor name. A shank drives its side's foot where that has no sensor of its own; samples of
-    sensors that drive nothing change nothing. Requests are rounded down to the stimulator's ``current_step_ma``.
+    sensors that drive nothing change nothing. ``incline``: what the ground rises per horizontal distance as last said,
+    NaN where nobody knows. Requests are rounded down to the stimulator's ``current_step_ma``.
     """
 
     def __init__(
@@ -73,6 +77,7 @@ class Controller:
         exercise = session.exercise
         self._exercise_ns = round((exercise.rise_s + exercise.on_s) * NS_PER_S) if exercise else 0  # until it falls
         self.intensity = 0.0
+        self.incline = session.ground.incline
 
     def phase(self, foot: str) -> Phase:
         """The gait phase of a foot now."""
@@ -147,6 +152,11 @@ class Controller:
         elif act.action is OperatorAction.EXERCISE:
             if self._exercise_ns:
                 self._plan.start(act.value, act.t_ns, self._exercise_ns, adopt=False)
+        elif act.action in GROUND_ACTS:
+            free = act.action is OperatorAction.FREE_GROUND
+            self.incline = math.nan if free else min(max(act.value, -STEEPEST), STEEPEST)
+            for tracker in self.trackers.values():
+                tracker.set_incline(self.incline)
         elif act.action is not OperatorAction.SET_BELT_SPEED:
             # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()

@@ -99,6 +99,8 @@ class CommandKind(StrEnum):
     BELT = "belt"  # set to ``value`` m/s
     BELT_UP = "belt_up"
     BELT_DOWN = "belt_down"
+    GROUND = "ground"  # an incline of ``value`` percent, uphill positive
+    GROUND_FREE = "ground_free"  # stairs, ramps both ways
     QUIT = "quit"
     FREEZE_TUNING = "freeze_tuning"
     RESUME_TUNING = "resume_tuning"

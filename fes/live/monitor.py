@@ -19,9 +19,21 @@ from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.sides import SideCheck
 from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Status
+from fes.live.status import FootStatus, Status, percent_of
 from fes.session_log import Note
-from fes.signals import Event, FootSwitchEvent, ImuSample, StimAlive, StimCommand, StimStatus, StrideResult, WireFrame
+from fes.signals import (
+    GROUND_ACTS,
+    Event,
+    FootSwitchEvent,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimCommand,
+    StimStatus,
+    StrideResult,
+    WireFrame,
+)
 from fes.stimulation.tuning.targets import GroundWatch
 from statemachine.phases import PhaseChange
 
@@ -80,10 +92,16 @@ class ShownLog:
         self._ground: dict[str, GroundWatch] = {}
         self._uneven: set[str] = set()
         self.free_ground = False  # then there is nothing to tell of it
+        self._ground_said_ns: int | None = None  # by a person, in the session
 
     def event(self, event: Event) -> None:
         """As the log's."""
         self._log.event(event)
+        if isinstance(event, OperatorAct) and event.action in GROUND_ACTS:
+            self.free_ground = event.action is OperatorAction.FREE_GROUND
+            self._ground_said_ns = event.t_ns
+            self._ground.clear()
+            self._uneven.clear()
         if self.dashboard is not None:
             self.dashboard.event(event)
 
@@ -106,7 +124,8 @@ class ShownLog:
         self._strides[result.foot] = result
         if self.dashboard is not None:
             self.dashboard.stride(result)
-        if result.valid and not self.free_ground:
+        saw_change = self._ground_said_ns is not None and self._ground_said_ns >= result.t_start_ns
+        if result.valid and not self.free_ground and not saw_change:
             self._tell_ground(result)
 
     def _tell_ground(self, stride: StrideResult) -> None:
@@ -255,6 +274,7 @@ class Monitor(ShownLog):
             on=bool(self.on),
             feet=feet,
             belt_speed_mps=operator.belt_speed_mps,
+            incline_percent=percent_of(controller.incline),
             latency_p50_ms=self.latencies.percentile_ms(50),
             latency_p99_ms=self.latencies.percentile_ms(99),
             lateness_p99_ms=self.lateness.percentile_ms(99),

@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from fes.config import Session
+from fes.config import STEEPEST_PERCENT, Session
 from fes.control.controller import Controller
 from fes.gate import STOPPED, SafetyGate
 from fes.live.commands import CONTROL, CURRENT_ALLOWED, Cause, CommandKind, OperatorCommand, SessionMachine, State
 from fes.live.sensor_monitor import SensorMonitor
+from fes.live.status import ground_text
 from fes.session_log import Note
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
 from fes.stimulation.envelope import BurstParameters
@@ -182,6 +183,8 @@ class Operator:
             CommandKind.TRIGGER: self._trigger,
             CommandKind.CHANNEL: self._select,
             **dict.fromkeys((CommandKind.BELT, CommandKind.BELT_UP, CommandKind.BELT_DOWN), self._belt),
+            CommandKind.GROUND: self._ground,
+            CommandKind.GROUND_FREE: self._ground,
             CommandKind.QUIT: self._quit,
             **dict.fromkeys(ACTIONS, self._tune),
         }
@@ -365,6 +368,18 @@ class Operator:
         wanted_mps = command.value if step is None else (self.belt_speed_mps or 0.0) + step
         self.belt_speed_mps = round(min(max(wanted_mps, 0.0), BELT_MOST_MPS), 3)
         return [OperatorAct(t_ns, OperatorAction.SET_BELT_SPEED, self.belt_speed_mps)]
+
+    def _ground(self, command: OperatorCommand, t_ns: int) -> list[Event]:
+        free = command.kind is CommandKind.GROUND_FREE
+        if not free and not abs(command.value) <= STEEPEST_PERCENT:  # a slip of the finger must not be taken as meant
+            most = f"{STEEPEST_PERCENT:.0f} %"
+            return self._refuse(t_ns, f"no incline of {command.value:g} %: it lies between -{most} and {most}")
+        act = OperatorAct(t_ns, OperatorAction.FREE_GROUND)
+        if not free:
+            act = OperatorAct(t_ns, OperatorAction.SET_INCLINE, 0.01 * command.value)
+        ground = ground_text(None if free else command.value)
+        self._report(t_ns, "info", f"the ground is {ground} from the next stride on ({command.origin})")
+        return [act]
 
     def _tune(self, command: OperatorCommand, t_ns: int) -> list[Event]:
         try:

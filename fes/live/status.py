@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from fes.walk_record import finite_or_none
 
 VERSION = 1
+
+
+def percent_of(incline: float) -> float | None:
+    """An incline (rise per horizontal distance) in percent, as people set it; None where it is NaN: nobody knows it."""
+    return None if math.isnan(incline) else round(100.0 * incline, 3)
+
+
+def ground_text(incline_percent: float | None) -> str:
+    """What is walked on, in words; None: nobody knows its incline."""
+    if incline_percent is None:
+        return "stairs or ramps"
+    return f"an incline of {incline_percent:+g} %" if incline_percent else "level"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +72,7 @@ class Status:
     on: bool = False
     feet: dict[str, FootStatus] = field(default_factory=dict)
     belt_speed_mps: float | None = None
+    incline_percent: float | None = 0.0  # what the strides are measured with; None: stairs, ramps both ways
     latency_p50_ms: float | None = None
     latency_p99_ms: float | None = None
     lateness_p99_ms: float | None = None

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fes.live.processes import LOOK_EVERY_S, end_with, orphaned
-from fes.live.status import Status, TuningStatus
+from fes.live.status import Status, TuningStatus, ground_text
 
 COLOURS: Final = {
     "off": "dim",
@@ -39,6 +39,7 @@ def picture(status: Status) -> Group:
         (f" {status.state.upper()} ", COLOURS.get(status.state, "")),
         f"  intensity {status.intensity:.0%}  channel {status.channel}  ",
         ("● CURRENT ON" if status.on else "○ off", "bold red" if status.on else "dim"),
+        f"  ground: {ground_text(status.incline_percent)}",
     )
     table = Table("foot", "phase", "walking", "strides", "length (m)", "speed (m/s)", "belt (m/s)", "rate", "age (ms)")
     belt_mps = status.belt_speed_mps

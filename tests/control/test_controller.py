@@ -47,6 +47,10 @@ class ScriptedFoot:
         self.foot = FOOT
         self.phase = Phase.STANCE
         self._changes = {change.t_ns: change for change in changes}
+        self.incline = 0.0
+
+    def set_incline(self, incline: float) -> None:
+        self.incline = incline
 
     def step(self, t_ns: int, acc_mps2: Any, gyr_radps: Any) -> list[PhaseChange | StrideResult]:
         change = self._changes.get(t_ns)
@@ -252,6 +256,17 @@ def test_requests_come_in_time_whatever_the_events(
         if decision.requests:
             asked.append(event.t_ns)
         assert event.t_ns // PERIOD_NS == asked[-1] // PERIOD_NS
+
+
+@pytest.mark.parametrize(
+    "action", [OperatorAction.SET_BELT_SPEED, OperatorAction.SET_INCLINE, OperatorAction.FREE_GROUND]
+)
+def test_what_is_walked_on_neither_starts_nor_ends_a_burst(
+    calibrations: dict[str, FootCalibration], action: OperatorAction
+) -> None:
+    reference = run(make(calibrations, changes(*CYCLE)), 1200, [intensity(0, 1.0)])
+    said = [intensity(0, 1.0), act(100, action, 0.1), act(700, action, 0.1)]
+    assert run(make(calibrations, changes(*CYCLE)), 1200, said) == reference
 
 
 def test_geometry_sets_the_sensor_height(calibrations: dict[str, FootCalibration]) -> None:

@@ -112,6 +112,22 @@ def test_stairs_free_the_height() -> None:
     assert not ShankCalibration.from_dict(found.to_dict()).level
 
 
+@pytest.mark.parametrize("level", [True, False])
+def test_the_ground_that_a_person_says_counts_from_the_next_stride_on(level: bool) -> None:
+    """Over what the calibration says of it, and the other way round."""
+    made = walk(100.0, 0.16, 0.7)
+    tracker = ShankTracker(calibration(100.0, level))
+    half = len(made.t_ns) // 2
+    before = tracker.advance(made.t_ns[:half], made.acc[:half], made.gyr[:half])
+    tracker.set_incline(np.nan if level else 0.0)
+    after = tracker.advance(made.t_ns[half:], made.acc[half:], made.gyr[half:])
+    heights = [abs(o.height_gained_m) > 1e-6 for o in [*before, *after] if isinstance(o, StrideResult) and o.valid]
+    turns = [at for at in range(1, len(heights)) if heights[at] != heights[at - 1]]
+    assert len(turns) == 1
+    assert heights[0] != level
+    assert turns[0] >= sum(isinstance(o, StrideResult) and o.valid for o in before), "none that was under way"
+
+
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(0, len(walk().t_ns)), max_size=6).map(sorted))
 def test_blocks_and_samples_give_the_same_bits(cuts: list[int]) -> None:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import socket
 import subprocess
 import sys
 from contextlib import suppress
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from live_parts import MS
 from replays import SETTINGS
+from rich.console import Console
 from test_tuning_controller import tuned_session
 
 from fes.config import ImuDevice, Session, load_session
@@ -37,14 +42,15 @@ from fes.live.dashboard.message_handler import MessageHandler
 from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
-from fes.live.monitor import Monitor
+from fes.live.monitor import Monitor, ShownLog
 from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator, lone_side
 from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Status
+from fes.live.status import FootStatus, Status, percent_of
 from fes.live.stimulator import Electrodes
+from fes.live.terminal_view import picture
 from fes.session_log import Note
 from fes.signals import (
     Event,
@@ -577,6 +583,75 @@ def test_the_belt_is_a_setting_within_bounds() -> None:
     assert bench.operator.belt_speed_mps == 5.0
     bench.command(Kind.BELT, -1)
     assert bench.operator.belt_speed_mps == 0.0
+
+
+def test_the_ground_is_said_in_percent_and_what_no_treadmill_does_is_refused() -> None:
+    bench = Bench()
+    bench.stand(0.1)
+    assert bench.command(Kind.GROUND, 10.0) == [OperatorAct(bench.t_ns, OperatorAction.SET_INCLINE, 0.1)]
+    assert bench.controller.incline == pytest.approx(0.1)
+    assert bench.operator.message == "the ground is an incline of +10 % from the next stride on (key)"
+    for slip in (100.0, -25.1, math.nan):
+        assert bench.command(Kind.GROUND, slip) == []
+        assert "between -25 % and 25 %" in bench.operator.message
+    assert bench.controller.incline == pytest.approx(0.1)
+    assert bench.command(Kind.GROUND_FREE) == [OperatorAct(bench.t_ns, OperatorAction.FREE_GROUND)]
+    assert math.isnan(bench.controller.incline)
+    assert bench.command(Kind.GROUND, -25.0) == [OperatorAct(bench.t_ns, OperatorAction.SET_INCLINE, -0.25)]
+    assert [note.text for note in bench.notes if "ground is" in note.text][1].startswith(
+        "the ground is stairs or ramps"
+    )
+
+
+def test_the_ground_needs_no_confirmation_over_the_control_socket() -> None:
+    assert command_of_message(b'{"ask":"ground","value":-7.5}') == OperatorCommand(Kind.GROUND, -7.5, "control")
+    assert command_of_message(b'{"ask":"ground_free"}').kind is Kind.GROUND_FREE
+    for message in (
+        b'{"ask":"ground","value":"10"}',
+        b'{"ask":"ground","value":NaN}',
+        b'{"ask":"ground","value":true}',
+    ):
+        with pytest.raises(CommandRefused):
+            command_of_message(message)
+
+
+@pytest.mark.parametrize(
+    ("incline", "percent", "shown"),
+    [
+        (0.0, 0.0, "level"),
+        (0.07, 7.0, "an incline of +7 %"),
+        (-0.025, -2.5, "an incline of -2.5 %"),
+        (math.nan, None, "stairs or ramps"),
+    ],
+)
+def test_the_status_and_the_view_have_the_ground_in_force(incline: float, percent: float | None, shown: str) -> None:
+    status = Status(5, "armed", incline_percent=percent_of(incline))
+    assert status.incline_percent == percent
+    assert Status.decode(status.encode()) == status
+    console = Console(width=140, file=StringIO(), record=True)
+    console.print(picture(status))
+    assert f"ground: {shown}" in console.export_text()
+
+
+def test_the_log_tells_of_stairs_anew_once_the_ground_is_said(tmp_path: Path) -> None:
+    notes: list[Note] = []
+    log = Mock(note=notes.append)
+    shown = ShownLog(log, {FOOT: FOOT})
+    level = StrideResult(FOOT, 1, 0, 1000 * MS, 1.0, 0.1, 0.0, 0.0, 1.0, free_rise_m=0.12)
+
+    def told(t_start_ms: int, **changes: Any) -> list[str]:
+        notes.clear()
+        shown.stride(replace(level, t_start_ns=t_start_ms * MS, t_end_ns=(t_start_ms + 1000) * MS, **changes))
+        return [note.text for note in notes]
+
+    assert "a stair or a slope" in told(0)[0]
+    shown.event(OperatorAct(1500 * MS, OperatorAction.SET_INCLINE, 0.12))
+    assert told(1000) == [], "it began on the ground before"
+    assert told(2000, height_gained_m=0.12) == []
+    shown.event(OperatorAct(3000 * MS, OperatorAction.FREE_GROUND))
+    assert told(3100, free_rise_m=0.4) == []
+    shown.event(OperatorAct(4500 * MS, OperatorAction.SET_INCLINE, 0.0))
+    assert "a stair or a slope" in told(4600)[0]
 
 
 def test_a_stop_among_keys_comes_first_and_unknown_keys_are_nothing() -> None:

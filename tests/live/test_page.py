@@ -147,6 +147,27 @@ def test_what_raises_needs_the_newest_link_and_a_confirmation(access: Access, br
     assert newest.say(confirm=newest.asked(ask)).command
 
 
+def test_who_controls_says_what_is_walked_on_and_is_not_asked_back(access: Access, browser: Browser) -> None:
+    for value in (10, -25.0, 0, 7.5):
+        assert json.loads(browser.say(ask="ground", value=value).command) == {"ask": "ground", "value": value}
+    assert json.loads(browser.say(ask="ground_free").command) == {"ask": "ground_free"}
+    for slip in (None, "10", True, 25.1, -100, 10**400, float("nan"), [10]):
+        outcome = browser.say(ask="ground", value=slip)
+        assert outcome.command == b""
+        assert "from -25 to 25 percent" in str(outcome.reply)
+    newest = Browser(access)
+    assert newest.say(token=access.token).entered
+    for message in ({"ask": "ground", "value": 5}, {"ask": "ground_free"}):
+        assert "another browser" in str(browser.say(**message).reply)
+        assert Browser(access).say(**message).command == b""
+        assert newest.say(**message).command
+    newest.age_ns = 2 * NS_PER_S
+    assert "nothing is heard" in str(newest.say(ask="ground", value=5).reply)
+    replay = Browser(access, mode="replay")
+    assert replay.say(token=access.token).entered
+    assert "only be stopped" in str(replay.say(ask="ground_free").reply)
+
+
 @pytest.mark.parametrize("state", ["shadow", "stopped", "fault"])
 def test_a_stop_makes_every_question_void(browser: Browser, state: str) -> None:
     """Wherever it was pressed, and also where the session stood stopped already."""
@@ -285,7 +306,7 @@ def test_a_replay_shows_at_its_end_what_came_since_the_status_before(
     pair: tuple[DashboardStream, socket.socket],
 ) -> None:
     stream, theirs = pair
-    controller, gate = Mock(intensity=0.3), Mock(latched="", armed=True)
+    controller, gate = Mock(intensity=0.3, incline=0.0), Mock(latched="", armed=True)
     shown = ReplayLog(Mock(), stream, controller, gate, {}, {}, None)
     shown.publish(0, 0)
     assert theirs.recv(LARGEST)[:1] + theirs.recv(LARGEST)[:1] == STATUS + DETAIL
@@ -332,7 +353,7 @@ def test_a_stop_comes_first_once_and_alone(pair: tuple[DashboardStream, socket.s
     assert session.done == [(Kind.STOP, "dashboard")]
 
 
-def test_the_session_itself_asks_for_confirmation_and_knows_six_orders(
+def test_the_session_itself_asks_for_confirmation_and_knows_eight_orders(
     pair: tuple[DashboardStream, socket.socket],
 ) -> None:
     stream, page = pair
@@ -349,10 +370,25 @@ def test_the_session_itself_asks_for_confirmation_and_knows_six_orders(
         Kind.PAUSE,
         Kind.UP,
         Kind.DOWN,
+        Kind.GROUND,
+        Kind.GROUND_FREE,
     }
     assert session.done.count((Kind.UP, "dashboard")) == 1
     assert session.done.count((Kind.ARM, "dashboard")) == 1
     assert session.confused
+
+
+def test_the_incline_comes_through_with_its_value(pair: tuple[DashboardStream, socket.socket]) -> None:
+    stream, page = pair
+    commands: list[OperatorCommand] = []
+
+    def execute(command: OperatorCommand, t_ns: int) -> list[Event]:
+        commands.append(command)
+        return []
+
+    page.send(b'{"ask":"ground","value":-7.5}')
+    DashboardCommands(stream, execute, lambda: State.RUNNING).read_events(0)
+    assert commands == [OperatorCommand(Kind.GROUND, -7.5, "dashboard")]
 
 
 def test_pause_never_goes_on_and_going_on_never_pauses(pair: tuple[DashboardStream, socket.socket]) -> None:

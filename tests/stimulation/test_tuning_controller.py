@@ -41,6 +41,9 @@ class WalkingFoot:
         self.foot, self.phase = FOOT, Phase.STANCE
         self._clearances_m = clearances_m
 
+    def set_incline(self, incline: float) -> None:
+        """Its strides are as they are."""
+
     def step(self, t_ns: int, acc_mps2: Any, gyr_radps: Any) -> list[PhaseChange | StrideResult]:
         number, ms = divmod(t_ns // MS, STRIDE_MS)
         outcomes: list[PhaseChange | StrideResult] = []

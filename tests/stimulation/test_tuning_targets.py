@@ -169,6 +169,18 @@ def test_an_incline_that_the_session_knows_teaches() -> None:
     assert "slope" in filtered.why_skip(stride(6, 0.02, height_gained_m=0.12, free_rise_m=0.01), 270.0, 1.0)
 
 
+@pytest.mark.parametrize("free", [False, True])
+def test_what_was_usual_is_forgotten_with_the_ground_and_the_change_teaches_nothing(free: bool) -> None:
+    filtered = StrideFilter(tuning(), 0.15)
+    uphill = [stride(n, 0.02, height_gained_m=0.0, free_rise_m=0.04) for n in range(6)]
+    assert not any("slope" in filtered.why_skip(each, 270.0, 1.0) for each in uphill)
+    across = stride(6, 0.02, height_gained_m=0.0, free_rise_m=0.12)
+    filtered.ground_changed(across.t_start_ns, free=free)
+    assert filtered.why_skip(across, 270.0, 1.0) == "a person changed the ground meanwhile"
+    after = stride(7, 0.02, height_gained_m=0.12, free_rise_m=0.09)  # 7 cm from what was usual before
+    assert ("slope" in filtered.why_skip(after, 270.0, 1.0)) == free, "free: only the height gained is left to judge by"
+
+
 def test_a_sensor_whose_heights_scatter_is_known_by_its_own_strides() -> None:
     watch = GroundWatch()
     rises = [0.04, -0.02, 0.045, 0.0, 0.03, 0.07, -0.03, 0.08, 0.06]

@@ -152,6 +152,10 @@ class FootTracker(Tracker):
         """The gyroscope's bias as estimated now (3,): calibrated plus what the filter has found since."""
         return np.asarray(self._gyr_bias + self._state["bias_radps"])
 
+    def set_incline(self, incline: float) -> None:
+        """As :meth:`Tracker.set_incline`."""
+        self._maker.set_incline(incline)
+
     def history(self) -> HistoryArrays:
         """A copy of the last twenty seconds at most, free of bias as known now; the trace is the orientation."""
         n = self._history.filled

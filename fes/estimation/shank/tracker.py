@@ -54,6 +54,7 @@ class ShankStrideMaker:
         self.sensor = calibration.sensor
         self.due_ns: int | None = None
         self._settings = ShankIntegrationSettings.for_calibration(calibration, incline=incline)
+        self._next_settings = self._settings
         self._quiet_radps = QUIET_LEANS * calibration.levels.rest_lean_radps
         self._rate_hz = calibration.rate_hz
         self._number = 0
@@ -70,6 +71,10 @@ class ShankStrideMaker:
     def restart(self, t_ns: int) -> None:
         """Data were lost: forget the stride under way; stance from now on."""
         self.due_ns, self._start_ns, self._stance_ns, self._times = None, None, t_ns, {}
+
+    def set_incline(self, incline: float) -> None:
+        """What the ground rises per horizontal distance (NaN: nobody knows), from the next T1 on."""
+        self._next_settings = replace(self._settings, incline=incline)
 
     def on_phase(self, change: PhaseChange) -> None:
         """Note a phase change (after :meth:`leave_stance` for T1)."""
@@ -88,6 +93,7 @@ class ShankStrideMaker:
         quietest instant of the last second.
         """
         result = self.close(t_ns, acc, gyr, trace) if self.due_ns is not None else None
+        self._settings = self._next_settings  # here alone, so that one stride knows one ground
         stopped_ns = NS_PER_S * min(STOPPED * self._stride_s, LONGEST_STAND_S)
         if self._start_ns is None or t_ns[-1] - self._start_ns > stopped_ns:
             earliest = max(self._stance_ns, int(t_ns[-1]) - int(STANCE_SEARCH_S * NS_PER_S))
@@ -166,6 +172,10 @@ class ShankTracker(Tracker):
     def gyr_bias_radps(self) -> FloatArray:
         """The gyroscope's bias (3,), as calibrated."""
         return self._gyr_bias
+
+    def set_incline(self, incline: float) -> None:
+        """As :meth:`Tracker.set_incline`, whatever the calibration says of the ground."""
+        self._strides.set_incline(incline)
 
     def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
         """Take one sample in; see :meth:`Tracker.step`."""

@@ -67,6 +67,7 @@ class StrideSettings:
             sensor_height_m=self.sensor_height_m,
             constrained=self.method == "constrained",
             incline=self.incline,
+            next_incline=self.incline,
             known=known is not None,
             toe_forward_m=known.toe_forward_m if known else 0.0,
             toe_up_m=known.toe_up_m if known else 0.0,
@@ -94,6 +95,10 @@ class StrideMaker:
         """From now on keep all that evolves in this array (1,) of ``segmentation.STRIDE_STATE``."""
         core[:] = self.core
         self.core = core
+
+    def set_incline(self, incline: float) -> None:
+        """What the ground rises per horizontal distance (NaN: nobody knows), from the next heel rise on."""
+        self.core["settings"]["next_incline"] = incline
 
     def stride_in(self, out: Out) -> StrideResult:
         """The only stride in ``out``; its path is shown to who watches."""

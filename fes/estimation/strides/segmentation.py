@@ -85,7 +85,8 @@ class SegmentationSettings(NamedTuple):
     up_z: float
     sensor_height_m: float
     constrained: bool
-    incline: float
+    incline: float  # of the stride under way
+    next_incline: float  # in force from the next stride on
     known: bool
     toe_forward_m: float
     toe_up_m: float
@@ -160,7 +161,8 @@ def begin(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, stride_s: float) 
 
     ``stride_s`` is this person's usual stride time; else as for :func:`close`.
     """
-    state = core[0].state
+    state, settings = core[0].state, core[0].settings
+    settings.incline = settings.next_incline  # here alone, so that one stride knows one ground
     now = t_ns[n - 1]
     if state.start_ns == UNSEEN_NS or now - state.start_ns > _stop_ns(stride_s):
         earliest = max(state.stance_ns - _LEAD_NS, now - _SEARCH_NS)

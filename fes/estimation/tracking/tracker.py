@@ -263,6 +263,13 @@ class Tracker(ABC):
         """The gyroscope's bias as estimated now (3,)."""
 
     @abstractmethod
+    def set_incline(self, incline: float) -> None:
+        """What the ground rises per horizontal distance (NaN: nobody knows), for strides whose heel has yet to rise.
+
+        A stride under way, or not yet closed, keeps the incline with which it began.
+        """
+
+    @abstractmethod
     def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
         """Take one sample in, as :meth:`advance` does a block of one."""
 

@@ -37,7 +37,7 @@ class Role(StrEnum):
 
     NOBODY = "nobody"
     WATCH = "watch"  # see, lower, pause
-    CONTROL = "control"  # also arm, raise and go on, each after a confirmation
+    CONTROL = "control"  # also say what is walked on; arm, raise and go on, each after a confirmation
 
 
 class Access:

@@ -5,12 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from fes.config import STEEPEST_PERCENT
 from fes.live.commands import NEEDS_CONFIRMATION, CommandKind
 from fes.live.dashboard.access import Access, Confirmations, Role, Situation
 from fes.live.status import Status
 
 RESUME: Final = "resume"
 CALMING: Final = frozenset((CommandKind.PAUSE, CommandKind.DOWN, CommandKind.DISARM))
+GROUND: Final = frozenset((CommandKind.GROUND, CommandKind.GROUND_FREE))
 RAISING: Final = frozenset((CommandKind.ARM, CommandKind.UP, RESUME))
 LONGEST: Final = 512
 NAME: Final = 40  # characters of a press's name
@@ -77,7 +79,7 @@ class MessageHandler:
         self._recent_ns.append(t_ns)
         if "confirm" in message:
             return self._confirm(_text(message["confirm"]), t_ns)
-        return self._ask(_text(message.get("ask")), t_ns)
+        return self._ask(_text(message.get("ask")), message.get("value"), t_ns)
 
     def _enter(self, token: str, secret: str) -> Outcome:
         bought = self.access.enter(token) if token else ""
@@ -87,14 +89,16 @@ class MessageHandler:
             return Outcome({"refused": "This link was used already, or is of another session."})
         return Outcome({"hello": self.about, "secret": self._secret}, entered=bool(bought))
 
-    def _ask(self, ask: str, t_ns: int) -> Outcome:
+    def _ask(self, ask: str, value: object, t_ns: int) -> Outcome:
         if self.about.get("mode") == "replay":
             return _refuse("a replay can only be stopped")
         if ask in CALMING:
             return Outcome(command=json.dumps({"ask": ask}).encode())
+        if ask in GROUND:
+            return self._set_ground(ask, value, t_ns)
         if ask not in RAISING:
             return _refuse("not understood")
-        status, why = self._raisable(t_ns)
+        status, why = self._controllable(t_ns)
         if status is None:
             return _refuse(why)
         most = float(self.about["most_intensity"])
@@ -110,8 +114,19 @@ class MessageHandler:
         identifier = self._confirmations.ask(ask, _situation(status), t_ns)
         return Outcome({"question": {"id": identifier, "ask": ask, "text": questions[ask]}})
 
+    def _set_ground(self, ask: str, value: object, t_ns: int) -> Outcome:
+        """What is walked on: no current comes of it, so nothing is asked back, but one browser says it."""
+        status, why = self._controllable(t_ns)
+        if status is None:
+            return _refuse(why)
+        if ask == CommandKind.GROUND_FREE:
+            return Outcome(command=json.dumps({"ask": ask}).encode())
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= STEEPEST_PERCENT:
+            return _refuse(f"the incline is a number from -{STEEPEST_PERCENT:.0f} to {STEEPEST_PERCENT:.0f} percent")
+        return Outcome(command=json.dumps({"ask": ask, "value": value}).encode())
+
     def _confirm(self, identifier: str, t_ns: int) -> Outcome:
-        status, why = self._raisable(t_ns)
+        status, why = self._controllable(t_ns)
         if status is None:
             return _refuse(why)
         what, why = self._confirmations.answer(identifier, _situation(status), t_ns)
@@ -120,8 +135,8 @@ class MessageHandler:
         assert what == RESUME or what in NEEDS_CONFIRMATION
         return Outcome(command=json.dumps({"ask": what, "confirm": True}, separators=(",", ":")).encode())
 
-    def _raisable(self, t_ns: int) -> tuple[Status | None, str]:
-        """The status that a raise may rest on, or why there is none."""
+    def _controllable(self, t_ns: int) -> tuple[Status | None, str]:
+        """The status that an order of the one who controls may rest on, or why there is none."""
         if self.role is not Role.CONTROL:
             return None, "another browser has the newest link: here you can watch, pause, lower and stop"
         status, age_ns = self.newest(t_ns)

@@ -12,7 +12,7 @@ from fes.gate import STOPPED, SafetyGate
 from fes.live.commands import CommandKind, CommandRefused, command_of_message
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.monitor import FRAME_NS, ShownLog
-from fes.live.status import Status
+from fes.live.status import Status, percent_of
 from fes.signals import Event, ImuSample
 
 CHECK_NS: Final = 5_000_000
@@ -77,6 +77,7 @@ class ReplayLog(ShownLog):
             on=bool(self.on),
             feet=feet,
             belt_speed_mps=self._belt_speed_mps,
+            incline_percent=percent_of(self._controller.incline),
             latency_p50_ms=self.latencies.percentile_ms(50),
             latency_p99_ms=self.latencies.percentile_ms(99),
             samples=self._samples,

@@ -20,7 +20,9 @@ NOTES_KEPT: Final = 64
 AT_ONCE: Final = 8  # messages read
 LONGEST_MESSAGE: Final = 256
 RESUME_MESSAGE: Final = b'{"ask":"resume","confirm":true}'
-ALLOWED: Final = frozenset(CommandKind(kind) for kind in ("stop", "arm", "disarm", "pause", "up", "down"))
+ALLOWED: Final = frozenset(
+    CommandKind(kind) for kind in ("stop", "arm", "disarm", "pause", "up", "down", "ground", "ground_free")
+)
 ORIGIN: Final = "dashboard"
 
 
@@ -137,4 +139,4 @@ class DashboardCommands:
             raise CommandRefused(f"{command.kind} is not for the dashboard")
         if command.kind is CommandKind.PAUSE and self.state() is State.PAUSED:
             return None  # pressed on two pages at once: the second must not go on
-        return OperatorCommand(command.kind, origin=ORIGIN)
+        return OperatorCommand(command.kind, command.value, ORIGIN)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 
 from fes.config import Session
-from fes.signals import OperatorAct, OperatorAction, StimStatus, StrideResult
+from fes.signals import GROUND_ACTS, OperatorAct, OperatorAction, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.tuner import Tuner, TuningReport
@@ -49,7 +49,10 @@ class Tuners:
         Less by hand freezes it: it would bring back, stride by stride, what the person took away.
         """
         if act.action not in TUNING_ACTS:
-            if act.action is not OperatorAction.SET_BELT_SPEED:
+            if act.action in GROUND_ACTS:
+                for tuner in self.tuners.values():
+                    tuner.ground_changed(act.t_ns, free=act.action is OperatorAction.FREE_GROUND)
+            elif act.action is not OperatorAction.SET_BELT_SPEED:
                 for tuner in self.tuners.values():
                     tuner.operator_changed(act.t_ns)
             if act.action is not OperatorAction.SET_INTENSITY:

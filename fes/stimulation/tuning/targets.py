@@ -61,6 +61,11 @@ class GroundWatch:
         self._most_m, self._free = most_m, free
         self._rises: deque[float] = deque(maxlen=RISES)
 
+    def forget(self, *, free: bool) -> None:
+        """Other ground from here on; what was usual before says nothing of it. ``free``: nothing is known of it."""
+        self._free = free
+        self._rises.clear()
+
     def unusual(self, stride: StrideResult) -> str:
         """What is unusual about the ground of this valid stride; "" where nothing is."""
         rise_m = stride.height_gained_m
@@ -86,12 +91,18 @@ class StrideFilter:
         self._min_length_m = min_stride_length_m
         self._end_ns: int | None = None
         self._changed_ns: int | None = None
+        self._ground_changed_ns: int | None = None
         self._speeds: deque[float] = deque(maxlen=REMEMBERED)
         self._charges: deque[float] = deque(maxlen=REMEMBERED)
 
     def operator_changed(self, t_ns: int) -> None:
         """A person changed the intensity, or stopped or started stimulation."""
         self._changed_ns = t_ns
+
+    def ground_changed(self, t_ns: int, *, free: bool) -> None:
+        """A person said what is walked on from now on."""
+        self._ground_changed_ns = t_ns
+        self._ground.forget(free=free)
 
     def why_skip(self, stride: StrideResult, charge_uc: float, drive: float) -> str:
         """Why this newest stride teaches nothing; "" when it does.
@@ -115,6 +126,8 @@ class StrideFilter:
             return f"a stride of {100 * stride.stride_length_m:.0f} cm is no walking"
         if abs(stride.turn_rad) > math.radians(self._tuning.max_turn_deg):
             return f"the foot turned by {abs(math.degrees(stride.turn_rad)):.0f}°"
+        if self._ground_changed_ns is not None and self._ground_changed_ns >= stride.t_start_ns:
+            return "a person changed the ground meanwhile"  # before its rise would count as a stair's, or as usual
         if uneven := self._ground.unusual(stride):
             return uneven
         if abs(stride.speed_mps - usual_mps) > SPEED_CHANGE * usual_mps:

@@ -161,6 +161,10 @@ class Tuner:
         """The intensity was set, or stimulation switched: strides that saw it teach nothing."""
         self._filter.operator_changed(t_ns)
 
+    def ground_changed(self, t_ns: int, *, free: bool) -> None:
+        """Other ground is walked on: strides that saw the change teach nothing. ``free``: nothing is known of it."""
+        self._filter.ground_changed(t_ns, free=free)
+
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending = why, None

@@ -3,7 +3,7 @@
 import { EnvelopeChart, StrideChart } from "/static/charts.js";
 import { Link } from "/static/link.js";
 import { SideView } from "/static/side.js";
-import { clock, foot, make, number, percent, phase, PHASES, side, STATES, unit, write } from "/static/words.js";
+import { clock, foot, ground, make, number, percent, phase, PHASES, side, STATES, unit, write } from "/static/words.js";
 
 const $ = (id) => document.getElementById(id);
 const STOP_WITHIN_MS = 500;
@@ -30,6 +30,7 @@ function hello(about) {
     document.body.classList.toggle("replay", about.mode === "replay");
     write($("session-name"), `${about.name}${about.mode === "replay" ? " (replay)" : ""}`);
     write($("most"), about.mode === "replay" ? "" : ` of at most ${percent(about.most_intensity)}`);
+    $("ground").hidden = about.mode !== "live";
     document.title = `FES: ${about.name}`;
     envelope = new EnvelopeChart($("envelope"), about.channels);
     const shown = about.channels[0];
@@ -145,6 +146,7 @@ function buttons(status, blind) {
   $("pause").disabled = blind || !(current || (state === "paused" && controls));
   $("arm").disabled = blind || !controls || !["shadow", "stopped", "fault"].includes(state);
   $("disarm").disabled = blind || !(current || state === "paused");
+  for (const id of ["incline", "set-incline", "free"]) $(id).disabled = blind || !controls || !status;
   $("down").disabled = blind || !status || status.intensity <= 0;
   $("up").disabled = blind || !controls || !(current || state === "shadow") || status.intensity >= view.about.most_intensity - 1e-6;
 }
@@ -186,6 +188,7 @@ function timing(status, browsers) {
     ["Loop woken late, 99 % within", unit(status.lateness_p99_ms, "ms")],
     ["Stimulator", status.stimulator || "–"],
     ["Treadmill", belt === null ? "–" : `${belt.toFixed(2)} m/s`],
+    ["Ground", ground(status.incline_percent)],
     ["Samples so far", String(status.samples)],
     ["Session time", clock(status.t_ms)],
     ["Browsers on this page", String(browsers)],
@@ -242,3 +245,8 @@ $("yes").addEventListener("click", () => {
 $("no").addEventListener("click", () => { $("question").hidden = true; });
 for (const what of ["arm", "disarm", "up", "down"]) $(what).addEventListener("click", () => link.send({ ask: what }));
 $("pause").addEventListener("click", () => link.send({ ask: view.status?.state === "paused" ? "resume" : "pause" }));
+$("ground").addEventListener("submit", (event) => {
+  event.preventDefault();
+  link.send({ ask: "ground", value: $("incline").valueAsNumber });
+});
+$("free").addEventListener("click", () => link.send({ ask: "ground_free" }));

@@ -25,6 +25,9 @@ export const unit = (value, name) => (value === null || value === undefined ? "â
 
 export const percent = (value) => `${Math.round(100 * value)} %`;
 
+/** What is walked on, from its incline in percent; null: nobody knows. */
+export const ground = (percent) => (percent === null ? "stairs or ramps" : percent ? `${percent > 0 ? "+" : "âˆ’"}${Math.abs(percent)} %` : "level");
+
 export const foot = (name) => name.replaceAll("_", " ").replace(/^./, (letter) => letter.toUpperCase());
 
 export const side = (name) => (name.startsWith("left") ? "left" : "right");
