@@ -57,6 +57,7 @@ MOST_CUT = 0.45  # of the strides: more, and the axis is not that of all of them
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
 TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
+MOST_TOE_OUT_RAD = 0.46  # no foot points further away from where it goes; of 135 real feet: 0.45 at most
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
@@ -365,6 +366,10 @@ def _blend(walk: _Walk, travel: FloatArray, up: FloatArray) -> FloatArray:
     left = np.cross(up, ahead / max(float(np.linalg.norm(ahead)), 1e-9))
     axis = walk.axis / (AXIS_SD_RAD**2 + walk.cone_rad**2) + left / TRAVEL_SD_RAD**2
     axis -= (axis @ up) * up
+    toe_out = float(np.arctan2(np.cross(left, axis) @ up, left @ axis))
+    if abs(toe_out) > MOST_TOE_OUT_RAD:  # a foot that hardly falls turns as much about other axes
+        most = np.copysign(MOST_TOE_OUT_RAD, toe_out)
+        axis = np.cos(most) * left + np.sin(most) * np.cross(up, left)
     return np.asarray(axis / np.linalg.norm(axis))
 
 

@@ -21,7 +21,7 @@ USUAL = 0.5, 2.0  # of the stride time now: what may be one stride
 STANCE_S = 0.1  # the dead-reckoned speed of a foot on the ground dies away
 STILL_MPS, STILL_SHARE = 0.25, 0.35  # slower than this, or than this share of the swing's greatest, is no travel
 LATE_S = 0.01
-LONG_REST_S = 0.4  # what rests for so long does not travel, whatever is reckoned
+LONG_REST_S, LONG_REST_SHARE = 0.4, 0.25  # what rests for so long, and for so much of a stride, does not travel
 
 MEASURES = [(name, np.float64) for name in ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3")]
 FIELDS: list[Any] = [
@@ -84,7 +84,8 @@ def features(state: Record) -> Features:
         1e-9 * (state.t_ns - state.swing_ns),
         1e-9 * (state.t_ns - state.contact_ns),
         resting_s,
-        resting_s < LONG_REST_S and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
+        resting_s < max(LONG_REST_S, LONG_REST_SHARE * state.calibrated.stride_s)
+        and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
     )
 
 

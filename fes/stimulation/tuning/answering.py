@@ -8,6 +8,7 @@ that lies among its strides without stimulation although more was given than it 
 
 from collections import deque
 from collections.abc import Mapping
+from operator import itemgetter
 from statistics import median
 from typing import Final
 
@@ -23,6 +24,7 @@ WEAKEST: Final = 0.5  # bands that nearly all of the bound lifts the weakest foo
 SDS: Final = 2.0
 BARE: Final = 6  # strides without stimulation that are remembered
 BARE_NEEDED: Final = 3
+LIFTS: Final = 0.25  # bands above the strides with the least stimulation: such a foot answers, however little it may be
 LOST_STRIDES: Final = 3
 LOST: Final = 0.25  # of what stimulation lifted the foot by is left at most …
 LIFTED: Final = 0.35  # … which was so many bands
@@ -41,12 +43,14 @@ class AnswerMonitor:
         self._lifted: dict[str, tuple[float, float]] = {}  # by how much, and by what drive, when last reached
         self._newest: deque[Mapping[str, float]] = deque(maxlen=LOST_STRIDES)
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
+        self._weakest: list[tuple[float, Mapping[str, float]]] = []  # the strides with the least drive
 
     def forget(self) -> None:
         """A person is looking after it, or has: what was seen no longer holds, but for strides without stimulation."""
         self._run.clear()
         self._newest.clear()
         self._lifted.clear()
+        self._weakest.clear()
 
     def add_bare(self, reading: Reading | str) -> None:
         """A stride in which nothing was delivered; one that could not be read says nothing."""
@@ -63,6 +67,7 @@ class AnswerMonitor:
         """
         drive = min(drives.values())
         self._newest.append(reading.levels)
+        self._weakest = sorted([*self._weakest, (drive, reading.levels)], key=itemgetter(0))[:BARE_NEEDED]
         if reading.level >= 0.0:
             self._run.clear()
             for measure in reading.measures:
@@ -85,6 +90,8 @@ class AnswerMonitor:
             return False
         if any(model.expected(name, drives[name]).value >= 0.0 for name in reading.levels):
             return False  # this target is reached: the foot is being lifted
+        if self._lifts(reading):
+            return False
         gained = [model.gained(name, drives[name]) for name in reading.levels]
         if any(each.value > WEAKEST for each in gained):
             return False
@@ -92,6 +99,17 @@ class AnswerMonitor:
         if all(spent for _, _, spent in last):
             return any(known)  # nothing is left to give; who is known best says it, a toe's height scatters for long
         return all(known) and all(each.value - SDS * each.sd <= 0.0 for each in gained)  # who answers may with more
+
+    def _lifts(self, reading: Reading) -> bool:
+        """Whether the newest strides lie above those with the least stimulation, or none, in any measure."""
+        for name in reading.levels:
+            least = self._without(name)
+            weakest = [levels[name] for _, levels in self._weakest if name in levels]
+            least = median(weakest) if least is None and weakest else least
+            newest = [levels[name] for levels in self._newest if name in levels]
+            if least is not None and newest and median(newest) - least > LIFTS:
+                return True
+        return False
 
     def _lost(self, drives: Mapping[str, float]) -> bool:
         if len(self._newest) < LOST_STRIDES:

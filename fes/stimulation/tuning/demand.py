@@ -76,9 +76,10 @@ def late_demand(demands: tuple[Demand, ...]) -> Demand | None:
 
 
 def at_contact(demands: tuple[Demand, ...]) -> tuple[float | None, float]:
-    """Of what is measured at contact the lower of usual and newest level, and the error; (None, 0) where nothing is."""
-    late = late_demand(demands)
-    return (None, 0.0) if late is None else (min(late.usual, late.measure.level), late.error)
+    """Of what is measured at contact the lower of usual and newest level, None where nothing is; and what is missing
+    of anything."""
+    late, missing = late_demand(demands), max(demand.error for demand in demands)
+    return (None if late is None else min(late.usual, late.measure.level)), missing
 
 
 def leading(demands: tuple[Demand, ...]) -> Demand:

@@ -8,8 +8,8 @@ a turn or a pause.
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final, NamedTuple
 
@@ -186,6 +186,10 @@ class Reading:
     def levels(self) -> dict[str, float]:
         """By measure."""
         return {measure.name: measure.level for measure in self.measures}
+
+    def without(self, names: Collection[str]) -> "Reading":
+        """The same stride without these measures."""
+        return replace(self, measures=tuple(measure for measure in self.measures if measure.name not in names))
 
 
 def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:

@@ -152,6 +152,7 @@ class Tuner:
         self._excited = 1.0  # which way the next excitation goes
         self._unreached = 0
         self._uneven = 0
+        self._aside: frozenset[str] = frozenset()  # measures at contact that are left out
         self._odd = 0.0
         self._jolts = 0
 
@@ -245,6 +246,9 @@ class Tuner:
             self.memory.forget()
         self.model.add(reading, drives)
         self._learn_delay(stride, intensity)
+        if why := self._set_aside(reading):
+            return self._report(t_ns, "hint", f"stride {stride.number}: {why}")
+        reading = reading.without(self._aside)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
         self._reached = self._reached + 1 if reading.level >= 0.0 else 0
@@ -343,6 +347,18 @@ class Tuner:
             odd = off if abs(off) > max(OUTLIER, OUTLIER_SDS * self.model.noise(worst.name)) else 0.0
         self._odd = odd
         return odd != 0.0 and odd * before <= 0.0
+
+    def _set_aside(self, reading: Reading) -> str:
+        """Leave out what gets worse at contact by the stimulation that lifts the toe; why, when it is another one."""
+        slopes = {measure.name: self.model.slope(measure.name) for measure in reading.measures}
+        lifts = any(slopes[each.name].value > slopes[each.name].sd for each in reading.measures if not each.at_contact)
+        before, self._aside = self._aside, frozenset(
+            each.name
+            for each in reading.measures
+            if each.at_contact and lifts and slopes[each.name].value + CONTRARY_SDS * slopes[each.name].sd < 0.0
+        )  # fmt: skip
+        names = " and ".join(self._aside - before)
+        return names and f"{names} gets worse by what lifts the toe and is left out: look at the sensor's calibration"
 
     def _contrary(self, t_ns: int, reading: Reading) -> TuningReport | None:
         """Back to before the climb, where the climb itself is known to have made the foot worse."""
