@@ -13,10 +13,10 @@ from typing import Final
 from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.targets import Measure, Reading
 
-SAFE_SDS: Final = 2.0  # of a stride's noise between the aim and the low end: 2.3 % of strides below
-LEAST_AIM: Final = 0.30  # a toe's height is known to some millimetres only, …
+SAFE_SDS: Final = 2.8  # of a stride's noise between the aim and the low end
+LEAST_AIM: Final = 0.42  # a toe's height is known to some millimetres only, …
 LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two
-GREATEST_AIM: Final = 0.55
+GREATEST_AIM: Final = 0.60
 SUDDEN_SDS: Final = 2.5  # below what was expected and below the band: acted upon at once, it may be no chance
 DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
 DEAD_ABOVE: Final = 0.03  # above it, where more is only charge

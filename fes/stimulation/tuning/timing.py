@@ -41,6 +41,7 @@ LATEST: Final = 0.35  # … and here the foot must be up, where the intensity su
 SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
 WEAK: Final = 1.5  # bands over the intensity's whole range; 2 to 3 are usual
 PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
+STEADY, UNSTEADY = 0.12, 0.16  # bands, of a stride's noise: a foot that leaves early finds a late burst missing
 SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
 
@@ -94,16 +95,16 @@ class SpeedTiming:
         self._end = ""  # why it is where it is
         self._soon = 0.0  # 0 … 1: how far the end has been brought forward to before contact
 
-    def put_off(self, missing: float, used: float, slope: float) -> None:
+    def put_off(self, missing: float, used: float, slope: float, noise: float) -> None:
         """Let the start come later, or sooner again.
 
         ``missing`` is > 0 when more stimulation is needed, ``used`` the share of the intensity's bound in use,
         ``slope`` that of what is reached in mid-swing, bands over the whole range: where it hardly answers to a
-        stronger burst, the burst comes too late for it rather than too weak.
+        stronger burst, the burst comes too late for it rather than too weak. ``noise`` is a stride's there, bands.
         """
-        if missing > 0.0 and (used >= SPENT or slope < WEAK):
+        if noise > UNSTEADY or (missing > 0.0 and (used >= SPENT or slope < WEAK)):
             self._late = max(self._late - PATIENCE, 0.0)
-        elif missing <= 0.0 and slope >= WEAK:
+        elif missing <= 0.0 and slope >= WEAK and noise <= STEADY:
             self._late = min(self._late + PATIENCE, 1.0)
 
     def bring_forward(self, reached: float | None, missing: float, lowering: Lowering, extension_s: float) -> None:

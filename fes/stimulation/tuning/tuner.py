@@ -427,7 +427,7 @@ class Tuner:
         self._settle = max(self._settle - 1, 0)
         middle = in_mid_swing(demands)
         slope = self.model.slope_at(middle.measure.name, middle.drive)
-        self._timing.put_off(demands[0].error, share_used(before, self.tuning), slope)
+        self._timing.put_off(demands[0].error, share_used(before, self.tuning), slope, middle.noise)
         self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
         wanted = before
         if self.tuning.timing and self._timing.enough_strides:
