@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from fes.stimulation.tuning.response import ResponseModel
-from fes.stimulation.tuning.targets import Measure, Reading
+from fes.stimulation.tuning.targets import ROLL, Measure, Reading
 
 SAFE_SDS: Final = 2.8  # of a stride's noise between the aim and the low end
 LEAST_AIM: Final = 0.42  # a toe's height is known to some millimetres only, …
-LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two
+LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two; …
+LEAST_AIM_ROLL: Final = 0.35  # … and of roll either side is as wrong
 GREATEST_AIM: Final = 0.60
 SUDDEN_SDS: Final = 2.5  # below what was expected and below the band: acted upon at once, it may be no chance
 DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
@@ -53,6 +54,8 @@ def demands_of(model: ResponseModel, reading: Reading, drives: Mapping[str, floa
         name, drive = measure.name, drives[measure.name]
         noise, usual = model.noise(name), model.expected(name, drive).value
         least = LEAST_AIM_AT_CONTACT if measure.at_contact else LEAST_AIM
+        if name == ROLL:
+            least = LEAST_AIM_ROLL
         aim = min(max(SAFE_SDS * noise, least), GREATEST_AIM)
         level = aim
         if measure.level < min(0.0, usual - SUDDEN_SDS * noise):

@@ -33,6 +33,7 @@ ANYWHERE: Final = 1e-4  # and of any other threshold
 BELIEVED: Final = 4  # strides' worth of trust in the usual noise
 REMEMBERED: Final = 12
 MOST_SURPRISE: Final = 2.5  # standard deviations: one stumble says little about the others
+BESIDE: Final = 3.0  # bands that another channel on the foot may move a level by over its whole range
 JUMP_SD: Final = 0.3  # of the bare level, once something has happened to the foot
 GRID: Final = np.arange(81) / 80.0  # (U,) drives that are looked at …
 GRID_RISEN: Final = np.maximum(GRID[:, None] - THRESHOLDS, 0.0)  # … and by how much each is above each threshold
@@ -79,14 +80,16 @@ class _Lines:
         variance = self.cov[:, 0, 0] + 2.0 * risen * self.cov[:, 0, 1] + risen**2 * self.cov[:, 1, 1]
         return mean, variance
 
-    def add(self, drive: float, level: float, expected: Known, *, known: bool) -> FloatArray:
-        """Take in a stride; the logarithm of its likelihood under each threshold (H,)."""
+    def add(self, drive: float, level: float, expected: Known, moved: float, *, known: bool) -> FloatArray:
+        """Take in a stride; the logarithm of its likelihood under each threshold (H,). ``moved``: bands that something
+        else may have moved the bare level by.
+        """
         noise, most = self.noise, MOST_SURPRISE * math.hypot(self.noise, expected.sd)
         off = level - expected.value
         level = expected.value + min(max(off, -most), most)
         if known:
             self._surprises.append(min(max(off, -3.0 * self.usual.noise), 3.0 * self.usual.noise))
-        self.cov[:, 0, 0] += self.usual.walk**2
+        self.cov[:, 0, 0] += self.usual.walk**2 + moved**2
         self.cov[:, 1, 1] += SLOPE_WALK**2
         row = np.stack([np.ones_like(THRESHOLDS), np.maximum(drive - THRESHOLDS, 0.0)], axis=1)
         cross = np.einsum("hij,hj->hi", self.cov, row)
@@ -110,14 +113,18 @@ class ResponseModel:
         self._weights = np.full(len(THRESHOLDS), 1.0 / len(THRESHOLDS))
         self.strides = 0
 
-    def add(self, reading: Reading, drives: Mapping[str, float]) -> None:
-        """Take in a valid stride and the drive that each measure has seen."""
+    def add(self, reading: Reading, drives: Mapping[str, float], beside: float = 0.0) -> None:
+        """Take in a valid stride and the drive that each measure has seen; ``beside``: by how much of their range other
+        channels on this foot have changed since the stride before.
+        """
         self.strides += 1
         likely = np.zeros(len(THRESHOLDS))
         for measure in reading.measures:
             lines = self._lines.setdefault(measure.name, _Lines(AT_CONTACT if measure.at_contact else IN_SWING))
             drive = drives[measure.name]
-            likely += lines.add(drive, measure.level, self.expected(measure.name, drive), known=self.strides > 3)
+            likely += lines.add(
+                drive, measure.level, self.expected(measure.name, drive), BESIDE * beside, known=self.strides > 3
+            )
         weights = self._weights
         moved = (1.0 - 2.0 * THRESHOLD_MOVES) * weights
         moved[1:] += THRESHOLD_MOVES * weights[:-1]

@@ -20,6 +20,7 @@ class Tuners:
         self.ledger = DoseLedger(channel.number for channel in session.channels)
         self._intensity = 0.0
         self.latest: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
+        self._shares: dict[int, float] = {}  # of their bounds, as of the last stride
         self._start = {channel.number: BurstParameters.for_channel(channel) for channel in session.channels}
         feet = sorted({str(channel.foot) for channel in session.channels})
         self._channels_of = {foot: [c.number for c in session.channels if c.foot == foot] for foot in feet}
@@ -79,11 +80,17 @@ class Tuners:
     def on_stride(self, t_ns: int, foot: str, stride: StrideResult, intensity: float) -> tuple[TuningReport, ...]:
         """A stride of this foot has been closed."""
         reports: list[TuningReport] = []
+        shares = {
+            number: self.tuners[number].share for number in self._channels_of.get(foot, ()) if number in self.tuners
+        }
+        changed = {number: abs(share - self._shares.get(number, share)) for number, share in shares.items()}
+        self._shares |= shares
         for number in self._channels_of.get(foot, ()):
             electrode = self.ledger.electrodes[number]
             charge_uc = electrode.close_step(stride.t_start_ns, stride.t_end_ns)
             tuner = self.tuners.get(number)
-            report = tuner.observe(t_ns, stride, charge_uc, intensity) if tuner else None
+            beside = sum(changed.values()) - changed.get(number, 0.0)
+            report = tuner.observe(t_ns, stride, charge_uc, intensity, beside) if tuner else None
             if report is not None:
                 reports.append(report)
             if not stride.valid or (report is not None and report.kind == "skip"):

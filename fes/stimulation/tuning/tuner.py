@@ -205,10 +205,13 @@ class Tuner:
 
     # --- what the foot does -------------------------------------------------------------------------------
 
-    def observe(self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float) -> TuningReport | None:
+    def observe(
+        self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float, beside: float = 0.0
+    ) -> TuningReport | None:
         """Take in the newest stride of the channel's foot; what came of it, None when there is nothing to report.
 
-        It was walked under :attr:`parameters`, ``charge_uc`` delivered in it, at the operator's ``intensity`` (0–1).
+        It was walked under :attr:`parameters`, ``charge_uc`` delivered in it, at the operator's ``intensity`` (0–1);
+        ``beside``: by how much of their range other channels on the foot have changed since the stride before.
         """
         if self.tuning.mode == "off":
             return None
@@ -244,7 +247,7 @@ class Tuner:
             self._climb = None
         if fault:
             self.memory.forget()
-        self.model.add(reading, drives)
+        self.model.add(reading, drives, beside)
         self._learn_delay(stride, intensity)
         if why := self._set_aside(reading):
             return self._report(t_ns, "hint", f"stride {stride.number}: {why}")
@@ -324,6 +327,11 @@ class Tuner:
     def drive(self) -> float:
         """Stimulation in force relative to the session's, at full intensity."""
         return drive_of(self.parameters, self.start)
+
+    @property
+    def share(self) -> float:
+        """Stimulation in force as a share of its upper bound, at full intensity."""
+        return self.drive / self._most
 
     def _on_jolt(self, t_ns: int, stride: StrideResult, why: str) -> TuningReport | None:
         """One such stride may be chance and teaches nothing; when they go on, less is the way out."""
