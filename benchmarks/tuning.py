@@ -49,6 +49,7 @@ METHODS = {
 TUNED = ("run-to-run", "learning", "two")
 EVERTORS = 1  # the second channel's number
 ROLL_DEG = 5.0  # at contact, either way
+LEAST_WIDTH_US = 20.0  # of common stimulators
 SETTLED = 3  # strides: from the fourth stimulated one on the roll counts
 MEASURED_HIGHER_MM = 4.0  # for three of four patients at most (--measured, seeds 31000–31023): the target allows for it
 REACHED = 4  # of 5 strides in a row in the band
@@ -187,6 +188,7 @@ def evertors_of(rate_ma: float) -> Channel:
     del tuning["toe_clearance_m"], tuning["pitch_at_contact_deg"]
     tuning["eversion_at_contact_deg"] = {"low": -ROLL_DEG, "high": ROLL_DEG}
     tuning["bounds"]["extension_s"]["low"] = 0.0
+    tuning["bounds"]["pulse_width_us"]["low"] = LEAST_WIDTH_US  # so that it may also be next to nothing
     channel = channel_of(MOST_MA, round(WIDTH_US * LOW_START_MA / MOST_MA), tuning=tuning)
     return channel.model_copy(update={"name": "Peronei, right", "muscle": "peronei", "number": EVERTORS})
 
