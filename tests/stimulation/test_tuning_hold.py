@@ -45,7 +45,7 @@ def test_contact_gets_no_more_than_it_needs() -> None:
     assert tuner.parameters.current_ma == pytest.approx(30.0, abs=2.0)  # the toe is where it should be
     assert min(pitches) >= PITCH_BAND["low"]
     told = next(report.text for report in reports if "pulse width 300 → 280 µs" in report.text)
-    assert "foot pitch at contact 18 ° (target 4–25) in this stride, lately 18 °, 6 ° will do: " in told
+    assert "foot pitch at contact 18 ° (target 4–25) in this stride, lately 18 °, 7 ° will do: " in told
 
 
 def test_never_less_than_half() -> None:

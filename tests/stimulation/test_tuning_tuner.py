@@ -310,14 +310,14 @@ def test_the_start_is_put_off_while_it_suffices_and_comes_sooner_when_nothing_el
         timing.add(paced(number, 1.0))
     first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
     for _ in range(9):
-        timing.put_off(0.0, 0.5, 3.0)
+        timing.put_off(0.0, 0.5, 3.0, 0.1)
     latest_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
     assert latest_s - first_s == pytest.approx(0.10 * 0.5, abs=0.001)  # a quarter of the swing, then a third
     assert "as late as it suffices" in timing.reason(0.0)
-    timing.put_off(0.2, 0.5, 3.0)  # more is needed, and the intensity can give it
+    timing.put_off(0.2, 0.5, 3.0, 0.1)  # more is needed, and the intensity can give it
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] == latest_s
     for _ in range(9):
-        timing.put_off(0.2, 1.0, 3.0)
+        timing.put_off(0.2, 1.0, 3.0, 0.1)
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
 
 
@@ -327,14 +327,30 @@ def test_a_foot_that_hardly_answers_to_more_gets_it_sooner() -> None:
         timing.add(paced(number, 1.0))
     first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
     for _ in range(9):
-        timing.put_off(0.0, 0.5, 0.9 * WEAK)
+        timing.put_off(0.0, 0.5, 0.9 * WEAK, 0.1)
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s  # not put off, though nothing is missing
     for _ in range(9):
-        timing.put_off(0.0, 0.5, WEAK)
+        timing.put_off(0.0, 0.5, WEAK, 0.1)
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] > first_s
     for _ in range(9):
-        timing.put_off(0.2, 0.5, 0.9 * WEAK)
+        timing.put_off(0.2, 0.5, 0.9 * WEAK, 0.1)
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
+
+
+def test_the_start_of_an_unsteady_foots_burst_is_not_put_off() -> None:
+    timing = SpeedTiming()
+    for number in range(4):
+        timing.add(paced(number, 1.0))
+    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, 3.0, 0.2)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, 3.0, 0.1)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] > first_s
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, 3.0, 0.2)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s  # and comes sooner where it gets unsteady
 
 
 def test_the_pulses_end_sooner_by_what_the_force_outlives_them() -> None:
@@ -370,7 +386,7 @@ def test_how_much_of_the_bound_is_used() -> None:
 
 
 def test_timing_moves_by_no_more_than_a_step_a_stride() -> None:
-    done = walk(Plant(), 30, tuning(timing=True))
+    done = walk(Plant(noise_m=0.0), 30, tuning(timing=True))
     delays_s = [parameters.start_delay_s for parameters in done.parameters]
     assert delays_s[-1] == pytest.approx(0.225 + 0.05, abs=0.02)  # put off, for the foot clears with less than all
     assert max(b - a for a, b in pairwise(delays_s)) <= 0.02 + 1e-9
