@@ -463,12 +463,12 @@ def fault_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
     lines = []
     for method in (method for method in every[0] if method != "none"):
         mine = [one[method] for one in every]
-        named = sum(one.named_after is not None and one.named_after <= SOON for one in mine)
+        soon = sum(one.named_after is not None and one.named_after <= SOON for one in mine)
         lines.append(
             f"- {SCENARIOS[name].text}, {named(method)}: at most 3 low strides in "
             f"{sum(one.low_after <= 3 for one in mine)} of {people} "
             f"(mean {fmean(one.low_after for one in mine):.1f}); lowered within five strides in "
-            f"{sum(one.lowered_after for one in mine)}; named within five strides in {named}"
+            f"{sum(one.lowered_after for one in mine)}; named within five strides in {soon}"
         )
     return lines
 

@@ -49,6 +49,7 @@ def draw_patient(seed: int, number: int, **others: Any) -> PatientSettings:
         "roll_stiffness_nm_per_rad": r.uniform(8.0, 20.0),
         "muscle": _muscle(r, 9.0, 15.0),
         "evertors": _muscle(r, 4.0, 8.0),
+        "calf": _muscle(Random(f"{seed}/{number}/calf"), 15.0, 40.0),  # chosen: an eighth to a third of 120 N·m
         **draw_movement(Random(f"{seed}/{number}/movement")),
         "placements": {**PLACEMENTS, **{foot: _placement(r, PLACEMENTS[foot]) for foot in FOOT_SENSORS}},
     }

@@ -2,7 +2,8 @@
 
 A leg is a point (the ankle) that the rest of the body carries along a planned path through a spring and a damper, and a
 rigid foot that turns about it. What acts on the foot: gravity, the swinging leg's inertia, passive tissue, voluntary
-and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at heel, ball and toe. Semi-implicit Euler.
+and stimulated dorsiflexors, the calf, its stretch reflex and its stimulation, and the ground at heel, ball and toe.
+Semi-implicit Euler.
 
 - Ground: Hertz's law of a sphere with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction
   by bristles. In pre-swing the foot rolls over its ball and then, as the shoe bends no further, over its toe's tip.
@@ -74,7 +75,8 @@ _STATE = (
     "xp", "vxp", "axp", "zp", "vzp", "azp", "nominal", "vnominal", "bend",
     "heel_at", "ball_at", "toe_at", "heel_n", "ball_n", "toe_n", "drag_n",  # bristle anchors (NaN: off the ground)
     "hold", "flat_t", "own_act", "stretch1", "stretch2", "spasm", "spasm_most",
-    "torque", "everting", "calf",  # of the stimulated muscles, dorsiflexing and everting; of the calf, plantarflexing
+    "torque", "everting", "plantar",  # of the stimulated muscles: dorsiflexing, everting, plantarflexing
+    "calf",  # all torque that plantarflexes: the calf's own, its reflex, the stimulated
     "pushed_j", "opposed_j", "co_nms",  # of this stride: push-off, what the stimulation took of it, co-contraction
     "drag_s", "drag_ns", "tripped", "toe_z", "heel_z",
 )  # fmt: skip
@@ -85,7 +87,7 @@ LEG: Final = np.dtype(
     + [(name, np.float64, (6,)) for name in ("offset_x", "offset_z", "offset_shank")]
     + [(name, np.float64, (SERIES,)) for name in ("thigh", "knee", "ankle")]
 )
-# a stimulated muscle: what it is, and what evolves. DORSIFLEXORS and EVERTORS are the two of the affected leg.
+# a stimulated muscle: what it is, and what evolves. DORSIFLEXORS, EVERTORS and CALF are those of the affected leg.
 MUSCLE: Final = np.dtype(
     [(name, np.float64) for name in (
         "threshold_uc", "saturation_uc", "torque_max", "tau_ca", "tau_up", "tau_down", "tau_fat", "tau_rec",
@@ -95,6 +97,7 @@ MUSCLE: Final = np.dtype(
 )  # fmt: skip
 DORSIFLEXORS: Final = 0
 EVERTORS: Final = 1
+CALF: Final = 2
 BELT: Final = np.dtype([(name, np.float64) for name in ("x", "v", "a", "goal")] + [("pulse", np.int64)])
 
 TRACE: Final = (
@@ -421,7 +424,7 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
         needed -= passive(leg.nominal, leg.bend, leg.stiff, leg.short_rad)
         needed += 30.0 * (leg.nominal - angle) + 0.9 * (leg.vnominal - rate)
     out += leg.own * leg.own_act * min(max(needed, 0.0), 28.0)
-    out += leg.torque
+    out += leg.torque - leg.plantar
     # the calf of a standing leg: it carries the weight where the plan wants it, and lifts the heel
     push = 0.0
     if leg.mode == SWING:
@@ -437,10 +440,10 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
         hold = firm * (HOLD_NM_PER_RAD * (-psi - leg.pitch) + HOLD_NMS_PER_RAD * (-psi1 - leg.vpitch))
         push = leg.hold * (hold - weight * lever)
         out += push
-    leg.calf = max(-push, 0.0) + reflex
+    leg.calf = max(-push, 0.0) + reflex + leg.plantar
     leg.co_nms += min(leg.torque, leg.calf) * dt
     if leg.mode == PRE_SWING:
-        leg.pushed_j += max(-push, 0.0) * max(-rate, 0.0) * dt
+        leg.pushed_j += max(leg.plantar - push, 0.0) * max(-rate, 0.0) * dt
         leg.opposed_j += leg.torque * max(-rate, 0.0) * dt
     return out
 

@@ -7,6 +7,7 @@ import numpy as np
 from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Mat, Record, Vec
 from fes.simulation.forward.dynamics import (
+    CALF,
     CONTACT,
     DORSIFLEXORS,
     EVERTORS,
@@ -163,7 +164,7 @@ def run(
         legs: (2,) records, left then right; belts: (1,) record.
         pulse_step, pulse_uc, pulse_of: when (internal step) each pulse starts to pull, its charge at the nerve, and of
             which muscle.
-        muscles: (2,) records of the affected leg.
+        muscles: (3,) records of the affected leg.
         affected: the leg that is stimulated.
         places: (4, 3) sensors from the ankle, in SENSORS' order; straps (4, 3, 2), see :func:`strapped`.
         filters: (4, 6, 2) memory of their low-pass, taps (3,).
@@ -188,7 +189,9 @@ def run(
         lame = legs[affected]
         muscle(muscles[DORSIFLEXORS], lame.pitch - lame.shank, lame.vpitch - lame.vshank, dt)
         muscle(muscles[EVERTORS], lame.side * lame.roll, lame.side * lame.vroll, dt)
+        muscle(muscles[CALF], lame.shank - lame.pitch, lame.vshank - lame.vpitch, dt)
         lame.torque, lame.everting = muscles[DORSIFLEXORS].torque, muscles[EVERTORS].torque
+        lame.plantar = muscles[CALF].torque
         who, what = -1, NO_EVENT
         for side in range(2):
             leg = legs[side]

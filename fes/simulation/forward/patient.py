@@ -17,7 +17,7 @@ from fes.config import FootGeometry
 from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample
-from fes.simulation.forward.dynamics import DORSIFLEXORS, EVERTORS, NO_EVENT, TRACE
+from fes.simulation.forward.dynamics import CALF, DORSIFLEXORS, EVERTORS, NO_EVENT, TRACE
 from fes.simulation.forward.integration import run
 from fes.simulation.forward.settings import STEP_NS, DeliveredPulse, PatientSettings
 from fes.simulation.forward.walker import FootEvent, VirtualStride, Walker
@@ -290,6 +290,7 @@ class VirtualPatient:
         groups = {
             settings.channel: (DORSIFLEXORS, settings.muscle),
             settings.evertor_channel: (EVERTORS, settings.evertors),
+            settings.calf_channel: (CALF, settings.calf),
         }
         for pulse in pulses:
             if pulse.channel in groups:

@@ -14,11 +14,12 @@ from fes.simulation.sensor import ImuModel, Placement
 STEP_NS = 500_000  # the internal step: the shoe sole's contact modes (about 70 Hz) are well below its 2 kHz
 
 REFERENCE_US: Final = 300.0  # the pulse width at which thresholds are given
+MUSCLE_GROUPS: Final = ("muscle", "evertors", "calf")  # the settings that are a stimulated muscle's
 
 
 @dataclass(frozen=True, slots=True)
 class MuscleSettings:
-    """A stimulated muscle group: the dorsiflexors, or the evertors."""
+    """A stimulated muscle group: the dorsiflexors, the evertors, or the calf."""
 
     threshold_uc: float = 3.5  # charge per phase at which the first fibres answer, µC, in a pulse of REFERENCE_US
     saturation_uc: float = 11.0  # charge at which all that the electrodes reach are recruited, in such a pulse, µC
@@ -79,6 +80,10 @@ class PatientSettings:
     channel: int = 0  # the stimulator's channel on them; pulses of channels that are on no muscle do nothing
     evertors: MuscleSettings = field(default_factory=lambda: MuscleSettings(max_torque_nm=6.0))  # the peronei
     evertor_channel: int | None = None  # the stimulator's channel on the evertors; None: no electrode is there
+    # gastrocnemius, stimulated from heel rise on for more push-off (Kesar et al., *Stroke* 40, 2009); its torque is
+    # chosen: a fifth of the some 120 N·m that healthy plantarflexors hold at will, as much as a bearable current gives
+    calf: MuscleSettings = field(default_factory=lambda: MuscleSettings(max_torque_nm=25.0))
+    calf_channel: int | None = None  # the stimulator's channel on the calf; None: no electrode is there
     # inversion torque for each N·m of stimulated dorsiflexion: the lever of tibialis anterior about the subtalar axis,
     # 0.6 ± 0.3 cm (Piazza et al., Conf IEEE EMBS 2003), over its 4 cm about the ankle, less what of the evertors the
     # same electrodes reach; below 0 they evert
@@ -113,6 +118,7 @@ class PatientSettings:
             (self, "", _RANGES),
             (self.muscle, "muscle.", _MUSCLE_RANGES),
             (self.evertors, "evertors.", _MUSCLE_RANGES),
+            (self.calf, "calf.", _MUSCLE_RANGES),
         ):
             for name, (low, high) in ranges.items():
                 value = getattr(settings, name)
@@ -121,11 +127,18 @@ class PatientSettings:
         for name in ("seed", "channel"):
             if not isinstance(getattr(self, name), int):
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a whole number")
-        if self.evertor_channel is not None and self.evertor_channel not in range(8):
-            raise ValueError(f"evertor_channel = {self.evertor_channel!r}: must be a whole number from 0 to 7")
-        if self.evertor_channel == self.channel:
-            raise ValueError(f"evertor_channel = {self.channel} is the dorsiflexors' channel already")
-        for name, muscle in (("muscle", self.muscle), ("evertors", self.evertors)):
+        taken = {self.channel: "dorsiflexors"}
+        for muscles in ("evertor", "calf"):
+            number = getattr(self, f"{muscles}_channel")
+            if number is None:
+                continue
+            if number not in range(8):
+                raise ValueError(f"{muscles}_channel = {number!r}: must be a whole number from 0 to 7")
+            if number in taken:
+                raise ValueError(f"{muscles}_channel = {number} is the {taken[number]}' channel already")
+            taken[number] = f"{muscles}s"
+        for name in MUSCLE_GROUPS:
+            muscle = getattr(self, name)
             if muscle.saturation_uc <= muscle.threshold_uc:
                 low, high = muscle.threshold_uc, muscle.saturation_uc
                 raise ValueError(f"{name}.saturation_uc = {high:g} must be above threshold_uc = {low:g}")
@@ -170,8 +183,7 @@ def from_plain(values: Mapping[str, Any]) -> PatientSettings:
         ValueError, TypeError: they are no settings of a patient.
     """
     kinds: dict[str, Callable[[Any], Any]] = {
-        "muscle": lambda plain: MuscleSettings(**plain),
-        "evertors": lambda plain: MuscleSettings(**plain),
+        **dict.fromkeys(MUSCLE_GROUPS, lambda plain: MuscleSettings(**plain)),
         "imu": lambda plain: ImuModel(**plain),
         "placements": lambda plain: {
             name: Placement(tuple(one["body_m"]), tuple(one["angles_deg"])) for name, one in plain.items()
@@ -220,10 +232,9 @@ def load_patient(path: Path, **others: object) -> PatientSettings:
     if not isinstance(table, dict) or set(data) != {"patient"}:
         raise ValueError(f"{path}: must hold one table, [patient]; it has {', '.join(data) or 'nothing'}")
     values = dict(table)
-    groups = {name: values.pop(name) for name in ("muscle", "evertors") if name in values}
-    _refuse(
-        path, "patient", values, (_names(PatientSettings) - {"muscle", "evertors", "imu", "placements"}) | {"severity"}
-    )
+    groups = {name: values.pop(name) for name in MUSCLE_GROUPS if name in values}
+    allowed = (_names(PatientSettings) - {*MUSCLE_GROUPS, "imu", "placements"}) | {"severity"}
+    _refuse(path, "patient", values, allowed)
     try:
         for name, group in groups.items():
             if not isinstance(group, dict):

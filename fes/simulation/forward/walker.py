@@ -22,7 +22,7 @@ from fes.simulation.forward.leg import (
     body_of,
     muscle_of,
 )
-from fes.simulation.forward.settings import PatientSettings
+from fes.simulation.forward.settings import MUSCLE_GROUPS, PatientSettings
 
 Rows: TypeAlias = Callable[[int, float, float], FloatArray]  # of a side's trace between two times in s
 EVENTS = ("initial_contact", "foot_flat", "heel_off", "foot_off", "stumble")
@@ -63,7 +63,7 @@ class VirtualStride:
     pitch_at_foot_off_rad: (
         float  # sole against the ground as the foot leaves it, toe-up positive: how far it pushed off
     )
-    push_off_j: float  # work of the calf in pre-swing
+    push_off_j: float  # work of the calf in pre-swing, its own and the stimulated
     opposed_j: float  # of it, taken up by the stimulated dorsiflexors: a burst too early
     spasm: float  # how strong a spasm of the calf became in swing, 0–1
     co_contraction_nms: float  # impulse of stimulated dorsiflexors and calf, reflex and all, pulling against each other
@@ -160,7 +160,7 @@ class Walker:
         self.affected = 0 if settings.side == "left" else 1
         for side in range(2):
             self.legs[side] = body_of(settings, affected=side == self.affected)
-        self.muscles = np.array([muscle_of(settings.muscle), muscle_of(settings.evertors)])  # of the affected leg
+        self.muscles = np.array([muscle_of(getattr(settings, name)) for name in MUSCLE_GROUPS])  # of the affected leg
         self.planners = [Planner(settings, self.pattern, self.legs, self.belt, side) for side in range(2)]
         self._rng = np.random.default_rng((settings.seed, 10))
         rhythm_rng = np.random.default_rng((settings.seed, 11))
