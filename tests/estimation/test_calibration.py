@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import os
 import re
 from dataclasses import fields, replace
@@ -176,6 +177,16 @@ def test_the_axis_of_a_foot_that_lands_on_its_edge(roll_deg: float) -> None:
     most_turned = np.linalg.eigh(level.T @ level)[1][:, -1]
     if abs(roll_deg) > 30.0:  # most of the rotation is about quite another axis
         assert abs(float(most_turned @ plain.toe_down)) < np.cos(np.radians(25.0))
+
+
+@pytest.mark.parametrize(("crab_deg", "off_deg"), [(0.0, 0.0), (15.0, 2.2), (25.0, 3.7), (50.0, 23.6), (-50.0, -23.6)])
+def test_no_foot_points_further_from_where_it_goes_than_real_ones_do(crab_deg: float, off_deg: float) -> None:
+    """A foot that turns about its y axis and goes another way: up to 26° that is toe-out, beyond no foot's."""
+    track, places = stepping("right_foot", Steps())
+    aside = math.tan(math.radians(crab_deg)) * np.gradient(np.gradient(places[:, 0], 0.01), 0.01)
+    acc = track.acc_mps2 + aside[:, None] * [0.0, 1.0, 0.0]
+    toe_down = calibrate_track(replace(track, acc_mps2=acc)).toe_down
+    assert math.degrees(math.atan2(-toe_down[0], toe_down[1])) == pytest.approx(off_deg, abs=1.0)
 
 
 SHORT = [(name, foot, begin_s) for name, foot in WALKS[3:] for begin_s in (10.0, 14.0, 19.0, 23.0)]

@@ -277,3 +277,17 @@ def test_a_foot_among_the_strides_without_stimulation_is_lost_once_more_did_not_
         assert answering.stride(reading(0.1), {TOE_UP: 0.7}, own, model, spent=False) == ""
     said = [answering.stride(reading(level), {TOE_UP: drive}, own, model, spent=False) for drive in drives]
     assert said == ["", "", LIKE_NONE if lost and bare else ""]
+
+
+@pytest.mark.parametrize("lifted_by", [0.2, 0.3])
+def test_a_foot_that_is_lifted_a_little_by_all_the_bound_allows_is_not_given_up(lifted_by: float) -> None:
+    """A quarter of a band above what the least stimulation leaves: less would be worse for it."""
+    monitor, model, said = AnswerMonitor(), ResponseModel(), set()
+    own = BurstParameters(30.0, 0.0, 0.0, (300.0,))
+    levels = [-0.6] * 3 + [-0.6 + lifted_by] * 24
+    for number, level in enumerate(levels):
+        drives = {"toe": 0.2 if number < 3 else 1.0}
+        reading = Reading((Measure("toe", 0.02 + 0.03 * level, Band(low=0.02, high=0.05), 1e3, "mm"),))
+        model.add(reading, drives)
+        said.add(monitor.stride(reading, drives, own, model, spent=number >= 3))
+    assert (NO_ANSWER in said) == (lifted_by < 0.25)

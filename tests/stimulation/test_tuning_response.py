@@ -12,7 +12,7 @@ from fes.config import Band
 from fes.stimulation.tuning.delay import FORCE_S, STEP_S, USUAL_S, USUAL_SD_S, DelayEstimate
 from fes.stimulation.tuning.demand import GREATEST_AIM, LEAST_AIM, LEAST_AIM_AT_CONTACT, demands_of, leading, room
 from fes.stimulation.tuning.response import AT_CONTACT, BARE, BARE_SD, IN_SWING, JUMP_SD, SLOPE, SLOPE_SD, ResponseModel
-from fes.stimulation.tuning.targets import PITCH, Measure, Reading
+from fes.stimulation.tuning.targets import PITCH, ROLL, Measure, Reading
 
 TOE = "toe clearance"
 NOISE = {TOE: 0.18, PITCH: 0.045}
@@ -224,3 +224,15 @@ def test_over_a_skipped_stride_nothing_is_compared() -> None:
             if skipped:
                 estimate.forget_last()
         assert (estimate.delay_s.sd == pytest.approx(USUAL_SD_S, abs=0.005)) == skipped
+
+
+def test_what_another_channel_may_have_done_is_not_taken_for_an_answer() -> None:
+    """The dorsiflexors are raised, and turn the foot in, as the evertors are: that says nothing against these."""
+    told, alone = ResponseModel(), ResponseModel()
+    for number in range(8):
+        drive = 0.2 + 0.08 * number
+        lower = reading({ROLL: 0.5 - 0.15 * number})
+        told.add(lower, {ROLL: drive}, beside=0.1)
+        alone.add(lower, {ROLL: drive})
+    assert alone.slope(ROLL).value + 2.0 * alone.slope(ROLL).sd < 0.0
+    assert told.slope(ROLL).value + 2.0 * told.slope(ROLL).sd > 0.0

@@ -171,6 +171,29 @@ def test_a_foot_that_tires_is_not_taken_for_one_that_gets_worse_by_stimulation(s
     assert not [report for report in done.reports if report.kind == "roll_back"]
 
 
+@pytest.mark.parametrize("method", ["run_to_run", "learning"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pitch_that_gets_worse_by_what_lifts_the_toe_is_left_out(method: str, seed: int) -> None:
+    """As where the sensor's axis was calibrated far off: the toe must not be let down for it, nor the tuning stop."""
+    random, pitch = Random(seed), {"low": 4.0, "high": 25.0}
+    plant = Plant(baseline_m=-0.04, noise_m=0.002, seed=seed)
+    tuner = Tuner(channel(tuning(method=method, pitch_at_contact_deg=pitch)))
+    clearances_m, reports = [], []
+    for number in range(60):
+        now = tuner.parameters
+        clearances_m.append(plant.clearance_m(now))
+        wrong_deg = 3.0 - 1.0 * (charge_of(now) - charge_of(tuner.start)) + random.gauss(0.0, 0.5)
+        report = tuner.observe(number * SECOND, stride(number, clearances_m[-1], wrong_deg), charge_of(now), 1.0)
+        reports += [] if report is None else [report]
+    left_out = [report for report in reports if "is left out" in report.text]
+    assert left_out
+    assert {report.kind for report in left_out} == {"hint"}
+    assert "look at the sensor's calibration" in left_out[0].text
+    assert not [report for report in reports if report.kind == "roll_back"]
+    assert not tuner.frozen
+    assert sum(BAND["low"] <= value <= BAND["high"] for value in clearances_m[-30:]) >= 28
+
+
 class Hopeless(Plant):
     """Worse with every change in either direction."""
 
