@@ -280,7 +280,7 @@ def test_a_foot_among_the_strides_without_stimulation_is_lost_once_more_did_not_
 
 
 class Doubts(ResponseModel):
-    """A response that has come to believe that stimulation does nothing, as of a muscle that tires while it is raised."""
+    """A response that has come to believe that stimulation does nothing, as of a muscle that tires the while."""
 
     def gained(self, name: str, drive: float) -> Known:
         return Known(0.0, 0.05)
