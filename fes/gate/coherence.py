@@ -31,7 +31,7 @@ MOST_SMOOTH_RAD: Final = 4.0  # turned without a jolt; real: 2.7
 RESTS_RADPS: Final = 0.6
 STEADY_MPS2: Final = 0.7  # along an axis, from the mean of the rest
 REST_NS: Final = 80_000_000
-LONG_REST_NS: Final = 200_000_000
+LONG_REST_NS, STILL_RADPS = 200_000_000, 0.3  # and no faster all the while: a slow swing comes down as evenly
 GRAVITY_OFF_MPS2: Final = 1.6  # in a long rest; real: 0.62, a virtual foot that drags to its stop: 1.2
 LEAST_TURN_RAD: Final = 1.0  # between two rests: a swing lies between them
 SHORTEST_NS: Final = 8 * NS_PER_S // 10
@@ -132,7 +132,7 @@ class Coherence:
         self._stillness.restart()
         self._mean_force.restart()
         self._before: Vector3 | None = None  # the last mean force
-        self._resting_ns = 0
+        self._resting_ns = self._still_ns = 0
         self._up: Vector3 | None = None  # gravity's way up, turned along since the last rest
         self._upward_mps = self._turned_rad = 0.0  # since that rest: speed gained upward, and turned
         self._since_rest_ns = 0
@@ -217,6 +217,7 @@ class Coherence:
             if self._since_rest_ns > LONGEST_NS:
                 self._up = None
         x, y, z = force
+        self._still_ns = self._still_ns + block_ns if rate_radps < STILL_RADPS else 0
         resting_ns, self._resting_ns = self._resting_ns, 0
         if rate_radps >= RESTS_RADPS:
             return ""
@@ -253,7 +254,7 @@ class Coherence:
             if excess_mps2 > EXCESS_MPS2:
                 felt = f"{G_MPS2 + excess_mps2:.1f} m/s² of gravity in a stride"
                 fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled, its unit?"
-        elif self._resting_ns > LONG_REST_NS and abs(size_mps2 - G_MPS2) > GRAVITY_OFF_MPS2:
+        elif min(self._resting_ns, self._still_ns) > LONG_REST_NS and abs(size_mps2 - G_MPS2) > GRAVITY_OFF_MPS2:
             fault = f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
         if size_mps2 > 0.0:
             self._up = (mean[0] / size_mps2, mean[1] / size_mps2, mean[2] / size_mps2)
