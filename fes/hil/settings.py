@@ -52,10 +52,10 @@ extension_s = 0.06
 fall_s = 0.10
 
 [channels.limits]
-max_current_ma = 40.0
+max_current_ma = 50.0
 max_pulse_width_us = 400.0
 max_frequency_hz = 50.0
-max_charge_per_phase_uc = 12.0
+max_charge_per_phase_uc = 15.0
 max_charge_per_minute_mc = 40.0
 max_current_density_ma_per_cm2 = 0.5
 max_rise_ma_per_s = 400.0
@@ -65,14 +65,15 @@ min_off_s = 0.1
 [channels.tuning]
 mode = "{tuning}"
 method = "run_to_run"
+timing = true
 toe_clearance_m = {{ low = 0.020, high = 0.050 }}
 pitch_at_contact_deg = {{ low = 4.0, high = 25.0 }}
 
 [channels.tuning.bounds]
-current_ma = {{ low = 10.0, high = 40.0 }}
-pulse_width_us = {{ low = 300.0, high = 300.0 }}
-start_delay_s = {{ low = 0.0, high = 0.0 }}
-extension_s = {{ low = 0.06, high = 0.06 }}
+current_ma = {{ low = 10.0, high = 50.0 }}
+pulse_width_us = {{ low = 150.0, high = 300.0 }}
+start_delay_s = {{ low = 0.0, high = 0.2 }}
+extension_s = {{ low = -0.1, high = 0.1 }}
 
 [treadmill]
 belt_speed_mps = {speed_mps}
