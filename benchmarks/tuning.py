@@ -199,8 +199,8 @@ def evertors_of(rate_ma: float) -> Channel:
 class BelievedModel(ResponseModel):
     """Knows what everybody's foot does on the whole, and follows only the level: no threshold, no slope of its own."""
 
-    def add(self, reading: Reading, drives: Mapping[str, float], beside: float = 0.0) -> None:
-        super().add(reading, drives, beside)
+    def add(self, reading: Reading, drives: Mapping[str, float], others_changed: float = 0.0) -> None:
+        super().add(reading, drives, others_changed)
         self._weights[:] = 1.0 / len(self._weights)
         for lines in self._lines.values():
             lines.mean[:, 1] = SLOPE

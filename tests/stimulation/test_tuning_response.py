@@ -232,7 +232,7 @@ def test_what_another_channel_may_have_done_is_not_taken_for_an_answer() -> None
     for number in range(8):
         drive = 0.2 + 0.08 * number
         lower = reading({ROLL: 0.5 - 0.15 * number})
-        told.add(lower, {ROLL: drive}, beside=0.1)
+        told.add(lower, {ROLL: drive}, others_changed=0.1)
         alone.add(lower, {ROLL: drive})
     assert alone.slope(ROLL).value + 2.0 * alone.slope(ROLL).sd < 0.0
     assert told.slope(ROLL).value + 2.0 * told.slope(ROLL).sd > 0.0

@@ -33,7 +33,7 @@ ANYWHERE: Final = 1e-4  # and of any other threshold
 BELIEVED: Final = 4  # strides' worth of trust in the usual noise
 REMEMBERED: Final = 12
 MOST_SURPRISE: Final = 2.5  # standard deviations: one stumble says little about the others
-BESIDE: Final = 3.0  # bands that another channel on the foot may move a level by over its whole range
+OTHERS_MOVE_IT: Final = 3.0  # bands that another channel on the foot may move a level by over its whole range
 JUMP_SD: Final = 0.3  # of the bare level, once something has happened to the foot
 GRID: Final = np.arange(81) / 80.0  # (U,) drives that are looked at …
 GRID_RISEN: Final = np.maximum(GRID[:, None] - THRESHOLDS, 0.0)  # … and by how much each is above each threshold
@@ -113,9 +113,10 @@ class ResponseModel:
         self._weights = np.full(len(THRESHOLDS), 1.0 / len(THRESHOLDS))
         self.strides = 0
 
-    def add(self, reading: Reading, drives: Mapping[str, float], beside: float = 0.0) -> None:
-        """Take in a valid stride and the drive that each measure has seen; ``beside``: by how much of their range other
-        channels on this foot have changed since the stride before.
+    def add(self, reading: Reading, drives: Mapping[str, float], others_changed: float = 0.0) -> None:
+        """Take in a valid stride and the drive that each measure has seen.
+
+        ``others_changed``: by how much of their range other channels on this foot have changed since the stride before.
         """
         self.strides += 1
         likely = np.zeros(len(THRESHOLDS))
@@ -123,7 +124,11 @@ class ResponseModel:
             lines = self._lines.setdefault(measure.name, _Lines(AT_CONTACT if measure.at_contact else IN_SWING))
             drive = drives[measure.name]
             likely += lines.add(
-                drive, measure.level, self.expected(measure.name, drive), BESIDE * beside, known=self.strides > 3
+                drive,
+                measure.level,
+                self.expected(measure.name, drive),
+                OTHERS_MOVE_IT * others_changed,
+                known=self.strides > 3,
             )
         weights = self._weights
         moved = (1.0 - 2.0 * THRESHOLD_MOVES) * weights

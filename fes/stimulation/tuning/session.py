@@ -89,8 +89,8 @@ class Tuners:
             electrode = self.ledger.electrodes[number]
             charge_uc = electrode.close_step(stride.t_start_ns, stride.t_end_ns)
             tuner = self.tuners.get(number)
-            beside = sum(changed.values()) - changed.get(number, 0.0)
-            report = tuner.observe(t_ns, stride, charge_uc, intensity, beside) if tuner else None
+            others_changed = sum(changed.values()) - changed.get(number, 0.0)
+            report = tuner.observe(t_ns, stride, charge_uc, intensity, others_changed) if tuner else None
             if report is not None:
                 reports.append(report)
             if not stride.valid or (report is not None and report.kind == "skip"):

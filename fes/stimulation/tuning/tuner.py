@@ -206,12 +206,12 @@ class Tuner:
     # --- what the foot does -------------------------------------------------------------------------------
 
     def observe(
-        self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float, beside: float = 0.0
+        self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float, others_changed: float = 0.0
     ) -> TuningReport | None:
         """Take in the newest stride of the channel's foot; what came of it, None when there is nothing to report.
 
         It was walked under :attr:`parameters`, ``charge_uc`` delivered in it, at the operator's ``intensity`` (0–1);
-        ``beside``: by how much of their range other channels on the foot have changed since the stride before.
+        ``others_changed``: by how much of their range other channels on the foot have changed since the stride before.
         """
         if self.tuning.mode == "off":
             return None
@@ -247,7 +247,7 @@ class Tuner:
             self._climb = None
         if fault:
             self.memory.forget()
-        self.model.add(reading, drives, beside)
+        self.model.add(reading, drives, others_changed)
         self._learn_delay(stride, intensity)
         if why := self._set_aside(reading):
             return self._report(t_ns, "hint", f"stride {stride.number}: {why}")
