@@ -155,7 +155,7 @@ class Force:
     brisk swing it does not, but then the change itself does: no foot's force falls to less than a quarter from one
     sample to the next and then stays low. The same the other way round for a force scaled once more, or in mg.
     A heel that lands, bounces and slaps down comes nearest; but that shakes just before the step too, and mostly shows
-    more than the sensor's range in g.
+    more than the sensor's range in g, or than any sensor's.
 
     Args:
         sensor: its name, for its place on the leg.
@@ -211,7 +211,8 @@ class Force:
         weak, low, _, high, strong = self._counts
         share, whole = MOSTLY
         most = share * len(self._seen)
-        if whole * (weak + low) >= most and (whole * weak >= most or (self._step() < 0 and not self._beyond)):
+        possible_in_g = not (self._beyond or high or strong)
+        if whole * (weak + low) >= most and (whole * weak >= most or (self._step() < 0 and possible_in_g)):
             return f"{sensor} shows {force_mps2:.2g} m/s² and less than gravity for {SUSTAINED_MS} ms: is its unit g?"
         if whole * (strong + high) >= most and (whole * strong >= most or self._step() > 0):
             shows = f"{force_mps2:.0f} m/s² and more than a foot can take"

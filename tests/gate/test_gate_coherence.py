@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 
 import pytest
+from coherence_streams import LIES, SAID, verdicts
 from gate_bench import MS, Bench
 
 from fes.gate.coherence import (
@@ -222,6 +224,16 @@ def test_after_a_long_silence_what_is_usual_is_learnt_anew() -> None:
     assert said == {""}
 
 
+@pytest.mark.parametrize("name", LIES)
+def test_of_every_stream_it_says_what_it_said(name: str) -> None:
+    """To the sample. Who changes a rule writes the file anew (``coherence_streams.py``) and looks at the difference."""
+    before = json.loads(SAID.read_text(encoding="utf-8"))
+    assert before.keys() == LIES.keys()
+    assert verdicts(name) == before[name]
+    if name == "none":
+        assert before[name] == ["0 in all, not ready in 0"]
+
+
 # --- to the digit -----------------------------------------------------------------------------------------------------
 
 
@@ -427,3 +439,91 @@ def test_the_gate_latches_a_frozen_triad_and_names_it() -> None:
         assert f"{frozen} is frozen" in bench.gate.arming_refused, "nor can it be armed as long as that lasts"
         bench.wait(10)
         bench.rearm()
+
+
+# --- what repeats itself, to the sample -------------------------------------------------------------------------------
+
+
+def living(k: int, force: Vector3, rate: Vector3) -> list[float]:
+    """These, and a little that changes with every sample; once more than that, so that they are not at full scale."""
+    change = 1.0 if k == 3 else 1e-12 * (-1) ** k * (1 + k)
+    return [each + change for each in (*force, *rate)]
+
+
+def frozen_at(
+    axes: tuple[int, ...],
+    force: Vector3 = (0.0, 0.0, 20.0),
+    rate: Vector3 = (0.0, 0.0, 0.0),
+    lives: int = 60,
+    step_ns: int = 10 * MS,
+    count: int = 30,
+) -> list[int]:
+    """How many repeats of these axes had been seen each time that it called something frozen."""
+    judge, held, told = Coherence("left_foot"), living(lives - 1, force, rate), list[int]()
+    for k in range(lives + count):
+        now = living(k, force, rate)
+        if k >= lives:
+            now = [held[axis] if axis in axes else each for axis, each in enumerate(now)]
+        x, y, z, p, q, r = now
+        words = judge.fault(ImuSample(S + k * step_ns, "left_foot", S + k * step_ns, (x, y, z), (p, q, r)))
+        if "frozen" in words:
+            told.append(k - lives + 1)
+    return told
+
+
+def test_a_triad_is_frozen_after_60_ms_of_the_same_and_both_are_another_matter() -> None:
+    assert frozen_at(ACC)[0] == 6
+    assert frozen_at(GYR)[0] == 6
+    assert frozen_at((*ACC, *GYR), (0.0, 0.0, G_MPS2)) == []
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "moves"),
+    [
+        ((0.0, 0.0, G_MPS2 + 0.95), (0.0, 0.0, 0.0), False),
+        ((0.0, 0.0, G_MPS2 + 0.96), (0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, G_MPS2 - 1.05), (0.0, 0.0, 0.0), False),
+        ((0.0, 0.0, G_MPS2 - 1.06), (0.0, 0.0, 0.0), True),
+        ((G_MPS2, 0.0, 0.0), (0.0, 0.0, 0.0), False),
+        ((0.0, G_MPS2, 0.0), (0.0, 0.0, 0.0), False),
+        ((7.0, 6.0, 3.0), (0.0, 0.0, 0.0), False),
+        ((0.0, 0.0, G_MPS2), (0.0, 0.599, 0.0), False),
+        ((0.0, 0.0, G_MPS2), (0.0, 0.61, 0.0), True),
+        ((0.0, 0.0, G_MPS2), (0.0, 0.0, 0.61), True),
+        ((0.0, 0.0, G_MPS2), (0.4, 0.4, 0.4), True),
+        ((0.0, 0.0, G_MPS2), (0.3, 0.3, 0.3), False),
+    ],
+)
+def test_an_axis_is_frozen_only_while_the_sensor_moves(force: Vector3, rate: Vector3, moves: bool) -> None:
+    """It is then told after every 100 ms."""
+    assert frozen_at((3,), force, rate) == ([10, 20, 30] if moves else [])
+
+
+def test_an_axis_that_hardly_ever_lived_is_not_frozen() -> None:
+    """The first sample has nothing to differ from."""
+    assert frozen_at((0,), lives=51) == []
+    assert frozen_at((0,), lives=52) == [10, 20, 30]
+
+
+def test_an_axis_lives_while_another_one_repeats_itself() -> None:
+    judge, told = Coherence("left_foot"), list[str]()
+    for k in range(80):
+        x, y, z, p, q, r = living(k, (0.0, 0.0, 20.0), (0.0, 0.0, 0.0))
+        y = 0.0 if k % 2 else y
+        y, x = (0.0, 0.5) if k >= 60 else (y if k % 4 < 2 else 0.0, x)
+        told.append(judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (x, y, z), (p, q, r))))
+    assert "x axis is frozen" in told[70]
+
+
+def test_what_is_frozen_is_told_anew_after_as_long() -> None:
+    assert frozen_at((0,), step_ns=33_333_333, count=12) == [4, 8, 12]
+
+
+@pytest.mark.parametrize(("at_mps2", "tells"), [(97.9, True), (98.0, False), (-97.9, True), (-98.0, False)])
+def test_near_full_scale_nothing_is_frozen(at_mps2: float, tells: bool) -> None:
+    judge, told = Coherence("left_foot"), list[str]()
+    for k in range(90):
+        x, y, z, p, q, r = living(k, (1.0, 0.0, 9.0), (0.0, 0.0, 0.0))
+        x, y = (at_mps2, y) if k >= 60 else (x, 100.0 if k == 30 else y)
+        told.append(judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (x, y, z), (p, q, r))))
+    assert any("x axis is frozen" in each for each in told) is tells

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from gate_bench import ASKED, LOOSE, MS, Bench, make_channel, unchecked_channel
+from gate_bench import ASKED, LOOSE, MS, Bench, make_channel, make_limits, unchecked_channel
 
-from fes.config import ImuDevice, Session, Stimulation
+from fes.config import Exercise, ImuDevice, Session, Stimulation
 from fes.gate import SafetyGate, gate_of
 from fes.gate.channel import ROUNDING_MA, Dose
 from fes.gate.electrical import NUMBER_BOUND, is_number, no_number, shown
@@ -471,6 +471,12 @@ def test_a_step_with_samples_missing_after_it_is_not_judged(at: int, gap_ns: int
     assert bool(said[-1]) is tells
 
 
+@pytest.mark.parametrize(("size", "tells"), [(60.0, True), (61.0, False), (81.0, False)])
+def test_what_shows_more_than_any_sensor_would_in_g_is_not_in_g(size: float, tells: bool) -> None:
+    """A heel that lands between low forces: 61 m/s² would be 61 g."""
+    assert bool(first(told([40.0] * 5 + [5.0] * 7 + [size, 5.0]))) is tells
+
+
 @pytest.mark.parametrize("at", [6, 12, 13])
 def test_what_shows_more_than_its_range_would_be_in_g_is_not_in_g(at: int) -> None:
     """An axis of ±16 g ends at 16 in g, but for a twentieth; a heel that lands, leaves and slaps down shows more."""
@@ -727,3 +733,19 @@ def test_gate_of_a_session_knows_ranges_and_mounting() -> None:
         shank_sample(gate, S + k * 10 * MS, (0.0, 0.0, -9.8), 0.0)
     gate.observe(OperatorAct(S + 190 * MS, OperatorAction.ARM))
     assert "remounted" in gate.arming_refused
+
+
+@pytest.mark.parametrize("by_clock", [True, False])
+def test_gate_of_an_exercise_lets_a_burst_last_as_long_as_it_is(by_clock: bool) -> None:
+    """No data are asked for then, but a person's word: rise, hold, and the channel's fall, to the nanosecond."""
+    channel = make_channel(extension_s=0.0, fall_s=0.2, limits=make_limits(max_on_s=3.0))
+    exercise = Exercise(rise_s=0.4, on_s=0.7, off_s=2.0, count=1)
+    gate = gate_of(Session(name="x", channels=(channel,), exercise=exercise if by_clock else None), {})
+    gate.observe(OperatorAct(S, OperatorAction.ARM))
+    assert gate.armed is by_clock, gate.arming_refused
+    if not by_clock:
+        return
+    gate.observe(OperatorAct(S, OperatorAction.EXERCISE, 0.0))
+    for k in range(131):
+        assert gate.judge(S + k * 10 * MS, replace(ASKED, current_ma=0.5)).on
+    assert "longer than a person asked for" in gate.judge(S + 1300 * MS + 1, replace(ASKED, current_ma=0.5)).refused

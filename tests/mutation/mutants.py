@@ -25,6 +25,26 @@ ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("fes", "drivers", "statemachine", "tests", "pyproject.toml", "README.md", "LICENSE")
 EXPLAINED = Path(__file__).with_name("explained.toml")
 PAGE = ROOT / "docs" / "mutants.md"
+# what is changed, and the tests that must notice it: those of its own, for all of them take half a minute a mutant
+PARTS = {
+    "coherence": (["fes/gate/coherence.py"], ["tests/gate/test_gate_coherence.py"]),
+    "movement": (["fes/gate/movement.py"], ["tests/gate/test_gate_movement.py"]),
+    "plausibility": (
+        ["fes/gate/plausibility.py"],
+        ["tests/gate/test_gate_axes.py", "tests/gate/test_gate_data.py", "tests/gate/test_gate_parts.py"],
+    ),
+    "gate": (
+        [f"fes/gate/{name}.py" for name in ("gate", "channel", "electrical", "freshness")],
+        [
+            *(f"tests/gate/test_gate{name}.py" for name in ("", "_data", "_movement", "_parts", "_requests")),
+            "tests/stimulation/test_plan.py",
+        ],
+    ),
+    "plan": (
+        ["fes/stimulation/plan.py", "fes/stimulation/envelope.py"],
+        [f"tests/stimulation/test_plan{name}.py" for name in ("", "_due", "_early_end", "_parts")],
+    ),
+}
 CHANGED_LINE = re.compile(r"^([-+])(?![-+]{2} )\s*(.*?)\s*$", re.MULTILINE)
 
 
@@ -37,9 +57,8 @@ class Mutant:
     new: str
 
 
-def copied(scratch: Path) -> Path:
-    """The parts of the checkout that the tests need, elsewhere."""
-    work = scratch / "work"
+def copied(work: Path, part: str) -> None:
+    """The parts of the checkout that the tests need, elsewhere, with what is to be changed in this part."""
     work.mkdir(parents=True)
     for name in COPIED:
         source = ROOT / name
@@ -48,7 +67,9 @@ def copied(scratch: Path) -> Path:
         else:
             shutil.copy2(source, work / name)
     (work / "sim_inputs").symlink_to(ROOT / "sim_inputs")
-    return work
+    changed, tests = PARTS[part]
+    with (work / "pyproject.toml").open("a", encoding="utf-8") as settings:
+        settings.write(f"only_mutate = {changed}\npytest_add_cli_args_test_selection = {tests}\n")
 
 
 def mutmut(work: Path, *arguments: str, echo: bool = False) -> str:
@@ -119,20 +140,31 @@ def main() -> None:
     parser.add_argument("--scratch", type=Path, help="keep the scratch copy here instead of in a temporary folder")
     parser.add_argument("--children", type=int, default=1, help="mutants at once")
     parser.add_argument("--write", action="store_true", help="write docs/mutants.md")
+    parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS, help="these parts")
     options = parser.parse_args()
+    gate = {f"fes/gate/{path.name}" for path in (ROOT / "fes/gate").glob("*.py")} - {"fes/gate/__init__.py"}
+    if left := gate - {file for changed, _ in PARTS.values() for file in changed}:
+        parser.error(f"in no part: {left}")
+    if options.write and len(options.only) < len(PARTS):
+        parser.error("--write needs every part: leave out --only")
+    fates, alive = dict[str, str](), dict[Mutant, str]()
     with tempfile.TemporaryDirectory() as temporary:
-        work = copied(options.scratch or Path(temporary))
-        mutmut(work, "run", "--max-children", str(options.children))
-        fates = results(work)
-        lost = {name: fate for name, fate in fates.items() if fate not in ("killed", "timeout", "survived")}
-        alive = {survivor(work, name): name for name, fate in fates.items() if fate == "survived"}
-    known = dict(explanations())
+        for part in options.only:
+            work = (options.scratch or Path(temporary)) / part
+            copied(work, part)
+            mutmut(work, "run", "--max-children", str(options.children))
+            found = results(work)
+            alive |= {survivor(work, name): name for name, fate in found.items() if fate == "survived"}
+            fates |= found
+    changed = {file for part in options.only for file in PARTS[part][0]}
+    known = {mutant: why for mutant, why in explanations() if mutant.file in changed}
     files = Counter(name.split(".x", 1)[0].replace(".", "/") + ".py" for name in fates)
     print(dict(Counter(fates.values())))
     for mutant in sorted(alive.keys() - known.keys(), key=lambda m: (m.file, m.old)):
         print(f"SURVIVED, unexplained: {alive[mutant]}\n  - {mutant.old}\n  + {mutant.new}")
     for mutant in known.keys() - alive.keys():
         print(f"explained, but no survivor any more: {mutant}")
+    lost = {name: fate for name, fate in fates.items() if fate not in ("killed", "timeout", "survived")}
     for name, fate in lost.items():
         print(f"{fate}: {name}")
     if lost or alive.keys() != known.keys() or not fates:
