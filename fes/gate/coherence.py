@@ -21,9 +21,8 @@ FULL_SCALE_SHARE: Final = 0.98  # of the triad's greatest value: an axis there m
 TURNS_RADPS: Final = 0.3  # slower, a zero that is off adds up to a turn in time
 FORCE_MOVED_MPS2: Final = 1.0  # along an axis
 RATE_MOVED_RADPS: Final = 0.25  # about an axis
-MOST_UNSEEN_MPS2: Final = (
-    10.0  # of gravity's own way through the sensor while no axis moved: a turn of 1 rad; real: 6.4
-)
+# of gravity's own way through the sensor while no axis moved: a turn of 1 rad; real: 6.4
+MOST_UNSEEN_MPS2: Final = 10.0
 MOST_UNSEEN_AXIS_MPS2: Final = 18.0  # likewise along one axis; real: 10.5
 MOST_UNTURNED: Final = 24  # moves of the force without one of the rate; real: 12
 JOLT_MPS2: Final = 2.0  # from one mean to the next: every contact with the ground
@@ -271,10 +270,8 @@ class _Repeats:
         self._values: Vector3 = (math.nan, math.nan, math.nan)
         self._ns = [0, 0, 0]  # so long an axis has while the sensor moved
         self._same = NONE_SAME  # which do now
-        self._all_lived, self._lived = (
-            0,
-            [0, 0, 0],
-        )  # samples in which all axes differed, and those in which only some did
+        self._all_lived = 0  # samples in which all axes differed …
+        self._lived = [0, 0, 0]  # … and those in which only some did
         self._greatest = 0.0
 
     def observe(self, values: Vector3, step_ns: int) -> bool:

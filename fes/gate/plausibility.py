@@ -238,9 +238,8 @@ REST_RATE_RADPS: Final = 0.5
 REST_FORCE_MPS2: Final = 1.5  # of gravity
 MOST_TILT_RAD: Final = math.radians(65)  # at rest, from where it was at calibration; real feet reach 23°, shanks 30°
 MEAN_NS: Final = 300_000_000  # gravity shows through a walk: the mean force of real legs tilts by 53° at most …
-MOST_IN_MEAN_MPS2: Final = (
-    2.0 * G_MPS2
-)  # … a sample's counting as this at most: a stumble shakes a foot by ten times gravity
+# … a sample's counting as this at most: a stumble shakes a foot by ten times gravity
+MOST_IN_MEAN_MPS2: Final = 2.0 * G_MPS2
 MOST_STEP_NS: Final = 40_000_000  # one sample after a silence does not stand for all of it
 _TILT: Final = f"{math.degrees(MOST_TILT_RAD):.0f}°"
 _UPRIGHT: Final = math.cos(MOST_TILT_RAD)
