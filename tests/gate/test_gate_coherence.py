@@ -6,9 +6,11 @@ import json
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from coherence_streams import LIES, SAID, verdicts
 from gate_bench import MS, Bench
+from scipy.spatial.transform import Rotation
 
 from fes.gate.coherence import (
     BLOCK_NS,
@@ -27,7 +29,7 @@ from fes.gate.coherence import (
     Stillness,
     turn_of,
 )
-from fes.signals import G_MPS2, NS_PER_S, ImuSample, OperatorAction, Vector3
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample, OperatorAction, Vector3
 
 S = NS_PER_S
 STRIDE_S, STANCE_S = 1.2, 0.6
@@ -145,7 +147,8 @@ def test_a_triad_that_lives_again_is_ready_again() -> None:
         t_s = 0.01 * k
         values = freeze(stride(t_s), t_s) if 1.0 <= t_s < 1.2 else stride(t_s)
         judge.fault(ImuSample(S + k * 10_000_000, "left_foot", S + k * 10_000_000, values[:3], values[3:]))
-        ready.append(not judge.not_ready)
+        ready.append(judge.not_ready == "")
+    assert all(ready[:106])
     assert not ready[115]
     assert all(ready[121:])
 
@@ -239,7 +242,7 @@ def test_of_every_stream_it_says_what_it_said(name: str) -> None:
 
 def feed(judge: Coherence, values: list[Six], t_ns: int = S, step_ns: int = 15 * MS) -> list[str]:
     """What is said of each; a step is a block of its own."""
-    assert step_ns > BLOCK_NS
+    assert step_ns >= BLOCK_NS
     return [
         judge.fault(ImuSample(t_ns + k * step_ns, "left_foot", t_ns + k * step_ns, each[:3], each[3:]))
         for k, each in enumerate(values)
@@ -250,9 +253,10 @@ def alive(k: int, z: float = G_MPS2, rate: float = 0.0) -> Six:
     return (1e-6 * k, 0.0, z, 0.0, rate, 1e-6 * k)
 
 
-def test_force_that_moves_without_a_turn_is_counted() -> None:
+@pytest.mark.parametrize("step_ns", [15 * MS, BLOCK_NS, MOST_STEP_NS])
+def test_force_that_moves_without_a_turn_is_counted(step_ns: int) -> None:
     moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED + 4)]
-    said = feed(Coherence("left_foot"), moving)
+    said = feed(Coherence("left_foot"), moving, step_ns=step_ns)
     assert next(k for k, each in enumerate(said) if each) == MOST_UNTURNED + 2
     turning = [alive(k, G_MPS2 + 1.5 * (k % 2), 0.3 * (k // 20 % 2)) for k in range(60)]
     assert not any(feed(Coherence("left_foot"), turning))
@@ -295,6 +299,34 @@ def test_what_is_more_than_gravity_from_rest_to_rest(extra_mps2: float, blocks: 
     """What took too long is not judged."""
     said = feed(Coherence("left_foot"), between_rests(extra_mps2, blocks))
     assert any("of gravity in a stride" in each for each in said) is tells
+
+
+def tumbled(axes: tuple[int, ...], extra_mps2: float) -> list[Six]:
+    """A rest, turns by a radian about one axis after another with so much more than gravity upward, and a rest."""
+    up, values = np.array([0.48, 0.6, 0.64]), list[Six]()
+
+    def add(force: FloatArray, rate: FloatArray) -> None:
+        alive = 1e-6 * len(values)
+        x, y, z = (force + alive).tolist()
+        p, q, r = (rate + alive).tolist()
+        values.append((x, y, z, p, q, r))
+
+    for axis in (-1, *axes, -1):
+        rate = np.zeros(3) if axis < 0 else 2.8 * np.eye(3)[axis]
+        for _ in range(10 if axis < 0 else 24):
+            before, up = up, Rotation.from_rotvec(-0.015 * rate).apply(up)
+            add((G_MPS2 + (extra_mps2 if axis >= 0 else 0.0)) * 0.5 * (before + up), rate)
+    return values
+
+
+@pytest.mark.requirement("SR-10")
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (1, 0, 2), (0, 2, 1)])
+def test_gravity_is_turned_along_whichever_way_the_sensor_turns(axes: tuple[int, ...]) -> None:
+    """The rests' own share in the mean is a tenth."""
+    for extra_mps2, tells in ((0.0, False), (EXCESS_MPS2 * 1.08, False), (EXCESS_MPS2 * 1.18, True)):
+        said = feed(Coherence("left_foot"), tumbled(axes, extra_mps2))
+        assert [each for each in said if "in a stride" not in each] == [""] * (len(said) - tells)
+        assert any("11.5 m/s² of gravity in a stride" in each for each in said) is tells, extra_mps2
 
 
 @pytest.mark.requirement("SR-10")
@@ -402,6 +434,19 @@ def test_a_gap_begins_anew_and_a_slip_is_passed_over() -> None:
     again_ns = S + (len(moving) - 1) * 15 * MS
     assert not any(feed(judge, moving[:3], again_ns - 20 * MS, 15 * MS)[:1]), "a stamp that is out of order"
     assert not any(feed(judge, moving, again_ns + MOST_STEP_NS + 11 * MS)), "what was counted is forgotten"
+
+
+@pytest.mark.parametrize(
+    ("back_ns", "counts"), [(0, True), (MOST_STEP_NS - 1, True), (MOST_STEP_NS, False), (MOST_STEP_NS + 1, False)]
+)
+def test_a_stamp_that_goes_back_by_a_step_is_passed_over_and_by_more_begins_anew(back_ns: int, counts: bool) -> None:
+    judge = Coherence("left_foot")
+    moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED)]
+    feed(judge, moving)
+    last_ns = S + (len(moving) - 1) * 15 * MS
+    feed(judge, [alive(99)], last_ns - back_ns)
+    more = feed(judge, moving, (last_ns if counts else last_ns - back_ns) + 15 * MS)
+    assert any(more[:4]) is counts
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, 1e200])
