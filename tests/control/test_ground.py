@@ -105,6 +105,7 @@ def at(t_s: float, incline: float) -> OperatorAct:
     return OperatorAct(int(t_s * NS_PER_S), action, 0.0 if math.isnan(incline) else incline)
 
 
+@pytest.mark.requirement("SR-23")
 def test_heights_are_free_of_the_slope_once_it_is_said() -> None:
     said = at(14.03, INCLINE)
     found = controlled(uphill(said))

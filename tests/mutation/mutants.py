@@ -40,6 +40,14 @@ PARTS = {
             "tests/stimulation/test_plan.py",
         ],
     ),
+    "port": (
+        ["drivers/stimulator/can_port.py", "drivers/stimulator/e2e.py"],
+        [f"tests/drivers/test_can_{name}.py" for name in ("port", "answers")],
+    ),
+    "table": (
+        [f"statemachine/{name}.py" for name in ("table", "machine", "guards")],
+        ["tests/statemachine/test_statemachine.py"],
+    ),
     "plan": (
         ["fes/stimulation/plan.py", "fes/stimulation/envelope.py"],
         [f"tests/stimulation/test_plan{name}.py" for name in ("", "_due", "_early_end", "_parts")],
@@ -57,8 +65,9 @@ class Mutant:
     new: str
 
 
-def copied(work: Path, part: str) -> None:
-    """The parts of the checkout that the tests need, elsewhere, with what is to be changed in this part."""
+def copied(scratch: Path) -> Path:
+    """The parts of the checkout that the tests need, elsewhere."""
+    work = scratch / "work"
     work.mkdir(parents=True)
     for name in COPIED:
         source = ROOT / name
@@ -67,6 +76,11 @@ def copied(work: Path, part: str) -> None:
         else:
             shutil.copy2(source, work / name)
     (work / "sim_inputs").symlink_to(ROOT / "sim_inputs")
+    return work
+
+
+def set_up(work: Path, part: str) -> None:
+    """Tell mutmut there what to change, and which tests must notice it."""
     changed, tests = PARTS[part]
     with (work / "pyproject.toml").open("a", encoding="utf-8") as settings:
         settings.write(f"only_mutate = {changed}\npytest_add_cli_args_test_selection = {tests}\n")
@@ -150,8 +164,8 @@ def main() -> None:
     fates, alive = dict[str, str](), dict[Mutant, str]()
     with tempfile.TemporaryDirectory() as temporary:
         for part in options.only:
-            work = (options.scratch or Path(temporary)) / part
-            copied(work, part)
+            work = copied((options.scratch or Path(temporary)) / part)
+            set_up(work, part)
             mutmut(work, "run", "--max-children", str(options.children))
             found = results(work)
             alive |= {survivor(work, name): name for name, fate in found.items() if fate == "survived"}

@@ -204,6 +204,7 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.requirement("SR-02")
 @pytest.mark.parametrize(("transition", "about", "differs", "expected"), CASES, ids=lambda v: str(v)[:40])
 def test_guard_clause(transition: Transition, about: str, differs: dict[str, Any], expected: bool) -> None:
     assert GUARDS[transition](*seen(transition, differs)) is expected
