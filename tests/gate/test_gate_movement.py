@@ -9,7 +9,8 @@ import pytest
 from gate_bench import MS, Bench, assert_held, make_channel, make_limits
 
 from fes.config import Channel
-from fes.signals import ImuSample, StimCommand
+from fes.gate.movement import MOVES_RADPS, SWINGS_RADPS, SWUNG_NS, BurstWatch, Movement
+from fes.signals import ImuSample, OperatorAct, StimCommand, Vector3
 from fes.signals import OperatorAction as Action
 
 LASTING = {"limits": {"max_on_s": 3.0}}
@@ -253,3 +254,36 @@ def test_in_exercise_nothing_goes_out_that_nobody_asked_for() -> None:
     bench.act(Action.EXERCISE, 0.0)
     assert held(bench, 1200).on
     assert_held(bench, held(bench, 20), "longer than a person asked for")
+
+
+# --- at the bounds, to the digit ------------------------------------------------------------------------------------
+
+
+def turning(t_ns: int, rate: Vector3) -> ImuSample:
+    return ImuSample(t_ns, "left_foot", t_ns, (0.0, 0.0, 9.8), rate)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_foot_that_turns_as_slowly_as_that_about_any_axis_moves_and_swings(axis: int) -> None:
+    movement = Movement()
+    assert (movement.moved_ns, movement.swings) == (None, 0)
+    for t_ns, radps, moved_ns, swings in (
+        (10, math.nextafter(MOVES_RADPS, 0), None, 0),
+        (20, MOVES_RADPS, 20, 0),
+        (30, math.nextafter(SWINGS_RADPS, 0), 30, 0),
+        (40, SWINGS_RADPS, 40, 1),
+        (40 + SWUNG_NS - 1, SWINGS_RADPS, 40 + SWUNG_NS - 1, 1),
+        (40 + 2 * SWUNG_NS - 1, SWINGS_RADPS, 40 + 2 * SWUNG_NS - 1, 2),
+    ):
+        x, y, z = (radps if k == axis else 0.0 for k in range(3))
+        movement.observe(turning(t_ns, (x, y, z)))
+        assert (movement.moved_ns, movement.swings) == (moved_ns, swings)
+
+
+def test_what_it_says_in_exercise() -> None:
+    watch = BurstWatch(make_channel(extension_s=0.0, fall_s=0.2), None, 1000 * MS)
+    assert watch.forbids(0, begins=True) == "nobody asked for a burst"
+    watch.observe(OperatorAct(0, Action.EXERCISE, 0.0))
+    assert watch.forbids(0, begins=True) == ""
+    assert watch.forbids(1200 * MS, begins=False) == ""
+    assert watch.forbids(1200 * MS + 1, begins=False) == "longer than a person asked for"

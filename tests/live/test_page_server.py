@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import os
@@ -9,7 +10,7 @@ import signal
 import socket
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableMapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +20,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from fes.live.dashboard.access import Access
+from fes.live.dashboard.frames import StateBuffer
 from fes.live.dashboard.process import DashboardProcess, press_stop
-from fes.live.dashboard.server import BROWSERS, REQUEST_S, SLOW_S, STRANGERS, assets
+from fes.live.dashboard.server import BROWSERS, REQUEST_S, SLOW_S, STRANGERS, Server, assets
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.status import Status
 
@@ -343,6 +346,55 @@ def test_sockets_without_a_link_do_not_shut_the_therapist_out(page: DashboardPro
         assert "hello" in say(therapist, token=next_token(tmp_path))
         strangers[-1].send('{"ask":"stop"}')
         assert command(page) == STOP
+
+
+@pytest.mark.requirement("SR-16")
+def test_a_stranger_that_has_gone_takes_nobody_with_it() -> None:
+    """It gives way, is told so, and is not there any more; the one for whose sake it was goes on."""
+    entered: list[str] = []
+    server = Server(
+        buffer=StateBuffer(), access=Access("link", lambda: "next"), about=ABOUT, port=1, new_token=lambda: "",
+        stop=entered.append, send=lambda _: True, on_link_used=lambda: None,
+    )  # fmt: skip
+    scope = {
+        "type": "websocket",
+        "path": "/live",
+        "client": ("127.0.0.1", 2),
+        "headers": [(b"host", b"127.0.0.1:1"), (b"origin", b"http://127.0.0.1:1")],
+    }
+
+    async def stranger() -> None:
+        begun = [{"type": "websocket.connect"}]
+
+        async def receive() -> dict[str, str]:
+            return begun.pop() if begun else await asyncio.sleep(30.0, {"type": "websocket.disconnect"})
+
+        async def send(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "websocket.close":
+                raise OSError("gone")
+
+        await server.app(scope, receive, send)
+
+    async def therapist() -> None:
+        said = [{"type": "websocket.receive", "text": '{"ask":"stop"}'}, {"type": "websocket.connect"}]
+
+        async def receive() -> dict[str, str]:
+            return said.pop() if said else {"type": "websocket.disconnect"}
+
+        async def send(message: MutableMapping[str, Any]) -> None:
+            assert message["type"] != "websocket.close", message
+
+        await server.app(scope, receive, send)
+
+    async def all_of_them() -> None:
+        others = [asyncio.create_task(stranger()) for _ in range(STRANGERS)]
+        await asyncio.sleep(0.1)
+        await therapist()
+        for each in others:
+            each.cancel()
+
+    asyncio.run(all_of_them())
+    assert entered == [""]
 
 
 def test_killed_the_session_notices_and_is_not_held_up(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
 
-from drivers.simulated.record import RecordEntry, read_record
+from drivers.simulated.record import RecordEntry, RecordReader
 from drivers.simulated.spawn import DeviceHandle, DeviceKind, ImuHandle, NodeHandle, spawn_device, spawn_imu, spawn_node
 from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
@@ -212,6 +212,8 @@ class LiveRun:
         self.link.settimeout(0.5)
         self.status: Status | None = None
         self.answers: list[dict[str, object]] = []
+        self._record: RecordReader | None = None
+        self._entries: list[RecordEntry] = []
         self.off_ns = 0  # when the output went off, as :meth:`off_after_ms` found it
 
     def loaded(self) -> set[str]:
@@ -280,9 +282,12 @@ class LiveRun:
     # --- the stimulator's own record is the judge ---------------------------------------------------------
 
     def entries(self) -> list[RecordEntry]:
-        record = self.stimulator.record
-        assert record is not None
-        return [entry for entry in read_record(record) if entry.channel == 0] if record.exists() else []
+        """Of channel 0, all so far; only what is new is read, for a long run is asked often."""
+        if self._record is None:
+            assert self.stimulator.record is not None
+            self._record = RecordReader(self.stimulator.record)
+        self._entries += [entry for entry in self._record.new_entries() if entry.channel == 0]
+        return self._entries
 
     @property
     def gives_pulses(self) -> bool:

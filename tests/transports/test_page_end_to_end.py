@@ -88,7 +88,7 @@ def stopped_at_ns(record: SessionRecord) -> int:
 
 
 @contextmanager
-def burst_by_hand(run: LiveRun) -> Iterator[None]:
+def burst_by_hand(run: LiveRun, intensity: float = 0.3) -> Iterator[None]:
     """In the middle of a burst of a second, the patient standing.
 
     Armed again for it, as an operator would, where a machine that is too busy has held the session up until it latched.
@@ -96,7 +96,7 @@ def burst_by_hand(run: LiveRun) -> Iterator[None]:
     end_s = time.monotonic() + 60
     while run.current_ma() <= 0.0:
         assert time.monotonic() < end_s, run.status
-        run.armed_at(0.3)
+        run.armed_at(intensity)
         run.order("trigger", confirm=True)
         since_s = time.monotonic()
         while run.current_ma() <= 0.0 and time.monotonic() - since_s < 1.0:  # it begins with the next command

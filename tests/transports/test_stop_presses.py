@@ -1,6 +1,6 @@
 """Stop is never refused: presses on the live page's server, under load, to the last pulse at the stimulator's node.
 
-``FES_PRESSES=1000 pytest -s tests/transports/test_stop_presses.py`` takes most of an hour and prints the figures.
+``FES_PRESSES=1000 pytest -s tests/transports/test_stop_presses.py`` takes about half an hour and prints the figures.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def loaded(port: int, token: str) -> Iterator[None]:
 
 def pressed(run: LiveRun, port: int) -> float:
     """From the press to the last pulse, ms."""
-    with burst_by_hand(run):
+    with burst_by_hand(run, 0.05):
         before_ns = time.monotonic_ns()
         press_stop(port)
     off_ms = run.off_after_ms(before_ns)

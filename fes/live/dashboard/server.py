@@ -141,7 +141,7 @@ class Server:
         await socket.accept()
         self._strangers.append(socket)
         if len(self._strangers) > STRANGERS:
-            with suppress(RuntimeError):
+            with suppress(RuntimeError, WebSocketDisconnect):  # it may be gone by now: no affair of this one
                 await self._strangers.pop(0).close(1013, "too many without a link")
         handler = MessageHandler(self.access, self.about, self._newest, self.new_token)
         pushing: asyncio.Task[None] | None = None
