@@ -99,14 +99,16 @@ def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, incline: 
     return SensorCalibrations(found, missing)
 
 
-def calibrate_phase_sensors(recording: Recording) -> SensorCalibrations:
+def calibrate_phase_sensors(recording: Recording, *, incline: float = 0.0) -> SensorCalibrations:
     """Calibrate the sensor that tells each foot's phases: the foot's own, or where there is none the shank's.
+
+    ``incline`` is as of :func:`calibrate_track`.
 
     Raises:
         CalibrationError: none could be, or the feet are not labelled.
     """
     refuse_unlabelled(recording)
-    return calibrate_sensors(recording, phase_sensors(recording.tracks).values())
+    return calibrate_sensors(recording, phase_sensors(recording.tracks).values(), incline=incline)
 
 
 def calibrate_all(recording: Recording, *, incline: float = 0.0) -> SensorCalibrations:

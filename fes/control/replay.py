@@ -121,7 +121,7 @@ def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, 
 
 
 def session_for(recording: Recording, session: Session | None) -> Session:
-    """The session's settings, completed by what the recording knows (subject, belt, geometry).
+    """The session's settings, completed by what the recording knows (subject, belt, ground, geometry).
 
     Channels of a foot that no sensor of the recording drives are left out. Without a session nothing is stimulated.
     """
@@ -131,6 +131,8 @@ def session_for(recording: Recording, session: Session | None) -> Session:
         changes["subject"] = recording.subject
     if base.treadmill is None and recording.belt_speed_mps:
         changes["treadmill"] = {"belt_speed_mps": recording.belt_speed_mps}
+    if "ground" not in base.model_fields_set:  # a session may say level on purpose
+        changes["ground"] = recording.ground.model_dump()
     if not base.geometry and recording.geometry:
         changes["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()}
     driven = phase_sensors(recording.tracks)

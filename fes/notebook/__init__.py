@@ -28,6 +28,7 @@ from fes.calibration.recording import (
     stored_calibrations,
 )
 from fes.config import FootGeometry, Ground, Session
+from fes.control.replay import session_for
 from fes.notebook.results import Agreement, File, Log, Result, Simulated, gather, log_of
 from fes.recording import Recording, read_recording
 from fes.recording.chunks import Chunk, recording_chunks
@@ -142,14 +143,14 @@ def replay(
     """
     from fes.hil.closed_loop.one_process import replay_in_one_process
 
-    walk, stored = _recording(recording), _stored(calibration)
+    walk, stored, asked = _recording(recording), _stored(calibration), _session(session)
     if stored is None:
-        found = _checked(calibrate_phase_sensors(walk))
+        found = _checked(calibrate_phase_sensors(walk, incline=session_for(walk, asked).ground.incline))
     else:
         walk, found = stored_calibrations(stored, walk)
     with TemporaryDirectory() as folder:
         path = Path(log or Path(folder, "session.feslog"))
-        replay_in_one_process(walk, _session(session), found.calibrations, path)
+        replay_in_one_process(walk, asked, found.calibrations, path)
         return read_log(path)
 
 

@@ -27,9 +27,11 @@ from replays import (
     trial,
 )
 
-from fes.calibration.recording import calibrate_phase_sensors
+from fes.calibration.recording import calibrate_phase_sensors, calibrate_track
 from fes.cli.replay.log import repeat
-from fes.config import load_session, validate_session
+from fes.cli.replay.preparation import prepared
+from fes.cohort.sweep.grid import Point, session_with
+from fes.config import Ground, load_session, validate_session
 from fes.control.replay import identity, refuse_long_silence, session_for
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import RecordingError, write_recording
@@ -251,6 +253,30 @@ def test_a_recording_completes_the_settings() -> None:
     assert session.treadmill.belt_speed_mps == recording.belt_speed_mps
     assert set(session.geometry) == set(recording.geometry)
     assert session_for(recording, None).channels == ()
+
+
+def test_the_ground_is_the_recordings_unless_the_session_says_it() -> None:
+    said = load_session(SETTINGS)
+    uphill = replace(trial("example_csv"), ground=Ground(incline_percent=10.0))
+    on_purpose = validate_session(said.model_dump(exclude_unset=True) | {"ground": {}}, SETTINGS)
+    assert session_for(uphill, said).ground == session_for(uphill, None).ground == uphill.ground
+    assert session_for(uphill, session_with(said, Point(), SETTINGS)).ground == uphill.ground
+    assert session_for(uphill, on_purpose).ground == Ground()
+    assert session_for(uphill, session_with(on_purpose, Point(), SETTINGS)).ground == Ground()
+    assert session_for(trial("example_csv"), said).ground == Ground()
+
+
+def test_a_replay_calibrates_on_the_ground_that_was_walked_on(tmp_path: Path) -> None:
+    path = tmp_path / "walk.csv"
+    write_recording(trial("example_csv"), path)
+    level = prepared(path, SETTINGS, None).found.calibrations
+    sidecar = path.with_suffix(".toml")
+    sidecar.write_text(f"ground = {{ incline_percent = 10.0 }}\n{sidecar.read_text()}")
+    uphill = prepared(path, SETTINGS, None)
+    track = uphill.recording.tracks["right_foot"]
+    assert level["right_foot"] == calibrate_track(track)
+    assert uphill.found.calibrations["right_foot"] == calibrate_track(track, incline=0.1) != calibrate_track(track)
+    assert replay(path, tmp_path).header["session"]["ground"]["incline_percent"] == 10.0
 
 
 def test_channels_without_a_sensor_are_left_out_with_their_antagonists() -> None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, stored_calibrations
 from fes.config import Session, load_session
-from fes.control.replay import refuse_long_silence
+from fes.control.replay import refuse_long_silence, session_for
 from fes.recording import Recording, read_recording
 
 
@@ -34,5 +34,5 @@ def prepared(path: Path, settings: Path | None, calibration: Path | None) -> Pre
     if calibration:
         recording, found = stored_calibrations(calibration, recording)
     else:
-        found = calibrate_phase_sensors(recording)
+        found = calibrate_phase_sensors(recording, incline=session_for(recording, session).ground.incline)
     return Prepared(recording, settings, session, found)

@@ -120,6 +120,8 @@ def session_with(base: Session, point: Point, path: Path) -> Session:
         ConfigError: the combination is not allowed; says why.
     """
     data = base.model_dump()
+    if "ground" not in base.model_fields_set:  # then a recording's sidecar says it
+        del data["ground"]
     swept = thresholds_of(point)  # the trackers are given these; the session's own of the same name give way
     data[THRESHOLDS] = {name: value for name, value in base.thresholds.items() if name not in swept}
     for name, value in point.values:

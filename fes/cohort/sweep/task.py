@@ -23,7 +23,7 @@ from fes.cohort.store import Store
 from fes.cohort.sweep.grid import Factor, Point, Value, change_thresholds, session_with, thresholds_of
 from fes.cohort.sweep.table import RESULTS
 from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
-from fes.config import Session
+from fes.config import Ground, Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.evaluation.timing.marks import (
     TRUTH_TOLERANCE_MS,
@@ -268,9 +268,8 @@ def with_thresholds(calibrations: dict[str, Calibration], point: Point) -> dict[
 
 
 @lru_cache(maxsize=2)
-def _loaded(source: Source) -> tuple[Recording, dict[str, Calibration], Truth | None]:
-    """A recording with its calibrations and its truth; a process gets most combinations of one after the other."""
-    from fes.calibration.recording import calibrate_phase_sensors
+def _loaded(source: Source) -> tuple[Recording, Truth | None]:
+    """A recording and its truth; a process gets most combinations of one after the other."""
     from fes.recording import read_recording
     from fes.simulation.truth import load_truth
 
@@ -280,7 +279,14 @@ def _loaded(source: Source) -> tuple[Recording, dict[str, Calibration], Truth | 
             truth = load_truth(path)
         except FileNotFoundError:
             truth = None
-    return recording, calibrate_phase_sensors(recording).calibrations, truth
+    return recording, truth
+
+
+@lru_cache(maxsize=2)
+def _calibrations_on(source: Source, ground: Ground) -> dict[str, Calibration]:
+    from fes.calibration.recording import calibrate_phase_sensors
+
+    return calibrate_phase_sensors(_loaded(source)[0], incline=ground.incline).calibrations
 
 
 def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
@@ -290,9 +296,9 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
     from fes.estimation.sensor_choice import phase_sensors, tracker_of
     from fes.recording.tracks import samples_of
 
-    recording, calibrations, truth = _loaded(source)
+    recording, truth = _loaded(source)
     session = session_for(recording, session_with(bench.session, point, Path(bench.path)))
-    calibrations = with_thresholds(calibrations, point)
+    calibrations = with_thresholds(_calibrations_on(source, session.ground), point)
     drivers = phase_sensors(calibrations)
     scores: Scores = {}
     outcomes: list[PhaseChange | StrideResult] = []
