@@ -11,13 +11,16 @@ from drivers.stimulator.port import StimulatorLost
 from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted
 from fes.cli.common.options import PATH, choice, out_option
 from fes.cli.common.show import print_json
+from fes.cli.replay.preparation import prepared
 from fes.config import ConfigError
+from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.controller import SIGNALS
 from fes.hil.devices import TRANSPORTS, Unavailable, host_side_scenarios
 from fes.hil.results import Attempt, Campaign, Verdict, failure_reason, measured_times
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
+from fes.recording import RecordingError
 
 COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED: "red", Verdict.SKIPPED: "blue"}
 REPEAT: Final = "Each fault so many times, each of its values once."
@@ -29,10 +32,11 @@ REPEAT: Final = "Each fault so many times, each of its values once."
 @click.option("--only", multiple=True, metavar="NAME", help="This fault only; may be given several times.")
 @click.option("--repeat", type=click.IntRange(1, 1000), default=1, show_default=True, help=REPEAT)
 @click.option("--closed-loop", is_flag=True, help="With a virtual patient, who feels what the stimulator delivers.")
+@click.option("--recording", type=PATH, help="The sensor plays a walk out of this recording.")
 @click.option("--list", "listing", is_flag=True, help="List the faults and end.")
 @out_option("Results below.")
 @click.option("--hardware", type=PATH, help="Real devices, as in this session file.")
-@click.option("--calibration", type=PATH, help="Of the real sensors, from `fes calibrate`.")
+@click.option("--calibration", type=PATH, help="Of the real sensors, or of --recording. Default: from that.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout: what hil.json holds, or the faults.")
 @click.option("--i-have-a-dummy-load", "dummy_load", is_flag=True, help="Nobody is connected to the stimulator.")
 def command(
@@ -41,6 +45,7 @@ def command(
     only: tuple[str, ...],
     repeat: int,
     closed_loop: bool,
+    recording: Path | None,
     listing: bool,
     out: Path,
     hardware: Path | None,
@@ -53,7 +58,8 @@ def command(
     A simulated patient walks; sensor, stimulator and `fes run` each run in a process of their own, joined by the
     transport. Each fault strikes while current flows in a swing. The judge is the stimulator's own record. The table
     is printed and saved as hil.md and hil.json. With --closed-loop that patient is a virtual one, in a process of its
-    own, whose foot answers to the pulses that the stimulator really delivered.
+    own, whose foot answers to the pulses that the stimulator really delivered. With --recording the sensor plays a walk
+    out of a recording that `fes replay` can read.
 
     With --hardware the devices are real and STIMULATE: only into a dummy load, bursts triggered by hand, sensors at
     rest, only the faults of the host's side; the judge is what the stimulator says on its CAN bus.
@@ -74,6 +80,9 @@ def command(
     if unknown:
         raise Problem(f"--only {', '.join(unknown)}: no such fault. `fes hil --list` names them all.")
     scenarios = [scenario for scenario in SCENARIOS if not only or scenario.name in only]
+    if recording is not None and (closed_loop or hardware is not None):
+        other = "--closed-loop" if closed_loop else "--hardware"
+        raise Problem(f"--recording and {other}: a recording does not answer to stimulation. Leave one out.")
     if hardware is not None:
         if not dummy_load:
             raise Problem(
@@ -86,16 +95,22 @@ def command(
         if only and (refused := [scenario.name for scenario in scenarios if scenario not in possible]):
             raise Problem(f"--only {', '.join(refused)}: needs simulated devices.")
         scenarios = [scenario for scenario in scenarios if scenario in possible]
+    played = None
+    if recording is not None:
+        with failing(RecordingError, ConfigError, CalibrationError):
+            walked, _, _, found = prepared(recording, None, calibration)
+        played = walked, found
     folder = fresh_folder(out, f"hil-{'hardware' if hardware else transport}").resolve()
     for number in SIGNALS:  # a shell's background job ignores SIGINT else
         signal.signal(number, signal.default_int_handler)
     todo = scenarios, repeat, folder, _Progress(len(scenarios), repeat)
     try:
-        with failing(Unavailable, ConfigError, StimulatorLost), failing(CampaignBroken, kind=StoppedEarly):
+        unusable = failing(Unavailable, ConfigError, StimulatorLost, RecordingError, CalibrationError)
+        with unusable, failing(CampaignBroken, kind=StoppedEarly):
             if hardware is not None and calibration is not None:
                 campaign = hardware_campaign(hardware, calibration, *todo)
             else:
-                campaign = simulated_campaign(transport, *todo, channel, closed_loop)
+                campaign = simulated_campaign(transport, *todo, channel, closed_loop, played)
     except KeyboardInterrupt:
         interrupted(f"; everything is ended. Records so far: {folder}")
     data, text = save_campaign(campaign, folder)

@@ -30,7 +30,7 @@ from fes.hil.campaign_bench import (
     reason_faults,
     stated_reason,
 )
-from fes.hil.devices import BusWitness, Hardware, hardware_session, start_devices
+from fes.hil.devices import BusWitness, Hardware, PlayedRecording, hardware_session, start_devices
 from fes.hil.injections import INJECTIONS
 from fes.hil.results import (
     MS,
@@ -388,20 +388,24 @@ def simulated_campaign(
     progress: Progress,
     channel: str,
     closed_loop: bool,
+    played: PlayedRecording | None = None,
 ) -> Campaign:
     """Run these scenarios on simulated devices, each ``repeat`` times; whatever ends it, nothing is left running.
 
     The folder, for records and logs, must exist. ``channel``: the interface for ``socketcan``. ``closed_loop``: with a
-    virtual patient, who feels what is delivered, in the place of a recorded walk.
+    virtual patient, who feels what is delivered, in the place of a recorded walk. ``played``: a recording, and its
+    calibrations, in the place of the simulated patient's walk.
 
     Raises:
         Unavailable: the transport is not to be had on this machine.
+        RecordingError, CalibrationError: the recording cannot be used.
         CampaignBroken: three attempts in a row could not even be made.
     """
     with ExitStack() as stack:
-        devices = start_devices(transport, folder, stack, channel, closed_loop=closed_loop)
+        devices = start_devices(transport, folder, stack, channel, closed_loop=closed_loop, played=played)
         bench = CampaignBench(devices, devices.capabilities | machine_capabilities(), stack)
-        return run_campaign(bench, transport, scenarios, repeat, progress)
+        name = f"{transport} ({played[0].name})" if played else transport
+        return run_campaign(bench, name, scenarios, repeat, progress)
 
 
 def hardware_campaign(

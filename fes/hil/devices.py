@@ -31,10 +31,13 @@ from drivers.simulated.spawn import (
 )
 from drivers.stimulator.can_codec import STATUS_ID, FrameRejected, Result, Status, decode
 from drivers.stimulator.port import StimulatorLost
+from fes.calibration.recording import SensorCalibrations
 from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session
 from fes.hil.closed_loop.bench import PatientHandle, PatientSensor, campaign_patient
+from fes.hil.recorded_walker import recorded_walker
 from fes.hil.scenarios import SCENARIOS, Needs, Scenario
-from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, STANDS_S, Walker, session_text, walker
+from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, STANDS_S, Walker, session_text, walker
+from fes.recording import Recording
 
 TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
 SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
@@ -44,6 +47,7 @@ SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
 
 
 Sensor = ImuHandle | PatientSensor
+PlayedRecording = tuple[Recording, SensorCalibrations]
 WITHOUT_DEVICES: Final = ("imu_", "stamp", "clock", "stale", "commands", "random", "phase", "dose", "view", "page")
 _ENDED_BY: Final = {Result.LEASE_EXPIRED: "lease_expired", Result.ON_TIME: "on_time"}
 
@@ -99,7 +103,8 @@ class Devices:
         """Settings for the campaign's next session."""
         path = self.folder / f"session{number}.toml"
         bus = self.button_bus if variant == "button" else self.front
-        path.write_text(session_text(variant, str(self.sensor_port), bus, self.stimulator), encoding="utf-8")
+        text = session_text(variant, str(self.sensor_port), bus, self.stimulator, self.walker)
+        path.write_text(text, encoding="utf-8")
         return path
 
     def processes(self) -> list[int]:
@@ -158,7 +163,7 @@ class Devices:
 
 def _sensor(folder: Path, worn_by: Walker, number: int) -> ImuHandle:
     record = folder / f"sensor{number}.jsonl"
-    return spawn_imu("xbus", sensor=FOOT, recording=worn_by.recording, rate_hz=RATE_HZ, record=record)
+    return spawn_imu("xbus", sensor=worn_by.foot, recording=worn_by.recording, rate_hz=worn_by.rate_hz, record=record)
 
 
 def set_link(link: Path, target: str) -> None:
@@ -170,17 +175,25 @@ def set_link(link: Path, target: str) -> None:
 
 
 def start_devices(
-    transport: str, folder: Path, stack: ExitStack, channel: str = "vcan0", *, closed_loop: bool = False
+    transport: str,
+    folder: Path,
+    stack: ExitStack,
+    channel: str = "vcan0",
+    *,
+    closed_loop: bool = False,
+    played: PlayedRecording | None = None,
 ) -> Devices:
     """Start all of a transport's devices; ``stack`` ends them.
 
-    ``closed_loop``: the sensor is worn by a virtual patient, who feels what the stimulator delivers.
+    ``closed_loop``: the sensor is worn by a virtual patient, who feels what the stimulator delivers. ``played``: the
+    sensor plays a walk out of this recording.
 
     Raises:
         Unavailable: the transport is not to be had here, or a device does not start.
+        RecordingError, CalibrationError: the recording cannot be used.
     """
     try:
-        walked = walker(folder)
+        walked = recorded_walker(*played, folder) if played else walker(folder)
         calibration = walked.calibration
         patient, pulses = None, None
         if closed_loop:
@@ -206,6 +219,7 @@ def start_devices(
         Needs.LINK: serial or link is not None,
         Needs.SLCAN: transport == "slcan",
         Needs.BUTTON: button_bus is not None,
+        Needs.LONG_STAND: played is None,
     }
     return Devices(
         folder, transport, calibration, walked, stimulator, front, back, link, node, imus[0], imus[1], stack,

@@ -21,6 +21,7 @@ from fes.hil.campaign_bench import CampaignBench, CampaignBroken
 from fes.hil.devices import SERIAL
 from fes.hil.settings import CHANNEL
 from fes.live.dashboard.process import press_stop
+from fes.live.supervised_line import MODULE as SUPERVISOR
 
 RANDOM_FRAMES: Final = 62_500  # each time: 21 seconds' worth, 1,000,000 in 16 attempts
 TEND_EVERY: Final = 150
@@ -177,11 +178,7 @@ def _kill(bench: CampaignBench, n: int) -> int:
 
 
 def _stop(bench: CampaignBench, n: int) -> int:
-    os.kill(bench.session().process.pid, signal.SIGSTOP)
-    t_ns = time.monotonic_ns()
-    bench.observe(bench.value)
-    os.kill(bench.session().process.pid, signal.SIGCONT)
-    return t_ns
+    return _stopped(bench, bench.session().process.pid)
 
 
 def _starve(bench: CampaignBench, n: int) -> int:
@@ -231,29 +228,25 @@ def _full_disk(bench: CampaignBench, n: int) -> int:
     return t_ns
 
 
-def _to_child(module: str, do: Callable[[CampaignBench, int], None]) -> Inject:
-    """Something happens to one of the session's processes."""
-
-    def inject(bench: CampaignBench, n: int) -> int:
-        child = bench.session().child(module)
-        t_ns = time.monotonic_ns()
-        do(bench, child)
-        return t_ns
-
-    return inject
+def _to_child(module: str, do: Callable[[CampaignBench, int], int]) -> Inject:
+    """Something happens to one of the session's processes; ``do`` returns when."""
+    return lambda bench, n: do(bench, bench.session().child(module))
 
 
-def _killed(bench: CampaignBench, pid: int) -> None:
+def _killed(bench: CampaignBench, pid: int) -> int:
     os.kill(pid, signal.SIGKILL)
+    return time.monotonic_ns()
 
 
-def _frozen(bench: CampaignBench, pid: int) -> None:
+def _stopped(bench: CampaignBench, pid: int) -> int:
     """It reads nothing for a while, and everything that it is sent has to stay somewhere or be given up."""
     os.kill(pid, signal.SIGSTOP)
+    t_ns = time.monotonic_ns()
     try:
-        bench.observe(FROZEN_S)
+        bench.observe(bench.value or FROZEN_S)
     finally:
         os.kill(pid, signal.SIGCONT)
+    return t_ns
 
 
 def _at_once(do: Callable[[CampaignBench], object]) -> Inject:
@@ -321,6 +314,8 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "controller_killed": (_kill, _nothing),
     "controller_stopped": (_stop, _nothing),
     "controller_starved": (_starve, _nothing),
+    "supervisor_killed": (_to_child(SUPERVISOR, _killed), CampaignBench.end_session),  # it takes no new supervisor
+    "supervisor_stopped": (_to_child(SUPERVISOR, _stopped), _nothing),
     "link_lost": (_cut, _after(CUT_S, _mend)),
     "adapter_unplugged": _line("unplug"),
     "bus_off": _line("bus_off"),
@@ -348,8 +343,8 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     ),
     "view_killed": (_to_child("fes.live.terminal_view", _killed), CampaignBench.end_session),
     "page_killed": (_to_child("fes.live.dashboard", _killed), CampaignBench.end_session),
-    "view_frozen": (_to_child("fes.live.terminal_view", _frozen), _nothing),
-    "page_frozen": (_to_child("fes.live.dashboard", _frozen), _nothing),
+    "view_frozen": (_to_child("fes.live.terminal_view", _stopped), _nothing),
+    "page_frozen": (_to_child("fes.live.dashboard", _stopped), _nothing),
     "phase_stuck": (_at_once(_nothing), _nothing),
     "dose": (_at_once(_nothing), _nothing),
     "disk_full": (_full_disk, _nothing),

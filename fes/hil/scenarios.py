@@ -35,6 +35,7 @@ class Needs(StrEnum):
     SLCAN = "a serial CAN adapter"
     BUTTON = "a CAN bus that a stop button can be on"
     SERIAL = "a simulated stimulator on a serial line"
+    LONG_STAND = "the simulated patient, who stands for longer than a burst may last"
     FIFO = "fixed priorities (SCHED_FIFO) and a second processor"
     PROC = "/proc (Linux)"
 
@@ -54,7 +55,7 @@ class Scenario:
         reasons: the reason that the session states must hold one of these, separated by ``|``; "": any.
         needs: without these the row is left out, with that reason.
         variant: which of the campaign's sessions it needs; "" is the usual one.
-        restart: the controller is gone afterwards and is started again.
+        restart: no session can go on afterwards, and another is started.
         watch_s: how long it must stay off (or go on) after the deadline; a stride and more.
         values: what the fault is brought about with, by turns; however few repeats are asked for, each comes once.
         unit: of the values.
@@ -170,6 +171,10 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     Scenario("controller_stopped", "controller SIGSTOP for 0.2, 1, 5 s", 65, _HELD_UP, response=_STAYS, needs=_NONE,
              values=(0.2, 1.0, 5.0), unit="s"),
     Scenario("controller_starved", "controller without processor for 1 s", 65, _HELD_UP, response=_STAYS, needs=_FIFO),
+    Scenario("supervisor_killed", "supervisor kill -9", 65, "supervisor",
+             response=_LEASE + "; only a new session goes on", needs=_PROC, restart=True),
+    Scenario("supervisor_stopped", "supervisor SIGSTOP for 0.2, 1, 5 s", 65, "supervisor",
+             response=_OPENED, needs=_PROC, values=(0.2, 1.0, 5.0), unit="s"),
     Scenario("link_lost", "line to the stimulator lost and back", 65, response=_OPENED, needs=_LINK),
     Scenario("adapter_unplugged", "CAN adapter unplugged, plugged in again", 65, "lost|stimulator", response=_OPENED,
              needs=_SLCAN),
@@ -199,6 +204,7 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     _harmless("view_frozen", "terminal view SIGSTOP for 2 s", needs=_PROC, variant="seen"),
     _harmless("page_frozen", "live page SIGSTOP for 2 s", needs=_PROC, variant="seen"),
     Scenario("phase_stuck", "phase stuck: stance without end", 3020, effect=Effect.BOUNDED, variant="stance",
+             needs=_SIM | {Needs.LONG_STAND},
              response="the burst ends at its longest on-time, 3 s"),
     Scenario("dose", "more charge a minute than allowed", None, "mC within a minute", effect=Effect.DOSED,
              variant="dose", response="no more than the limit a minute, off, latched"),

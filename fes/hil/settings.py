@@ -84,22 +84,26 @@ belt_speed_mps = {speed_mps}
 class Walker:
     """The recording that the simulated sensor plays round and round, its calibration, and which samples are stance.
 
-    ``in_stance`` (N,) bool, :data:`RATE_HZ` a second: the foot lay flat on the ground, in truth.
+    ``in_stance`` (N,) bool, ``rate_hz`` a second: the foot lay flat on the ground, in truth.
     """
 
     recording: Path
     calibration: Path
     in_stance: BoolArray
+    foot: str = FOOT
+    rate_hz: float = RATE_HZ
+    acc_range_mps2: float | None = None
+    gyr_range_radps: float | None = None
 
     def stances_ns(self, played: Sequence[tuple[int, int]], since_ns: int, until_ns: int) -> list[tuple[int, int]]:
         """From when to when the foot was in stance, by what the sensor played (``ImuHandle.played``)."""
         spans: list[tuple[int, int]] = []
         for (t_ns, first), (next_ns, _) in pairwise([*played, (until_ns, 0)]):
-            count = max(math.ceil((next_ns - t_ns) * RATE_HZ / NS_PER_S), 0)
+            count = max(math.ceil((next_ns - t_ns) * self.rate_hz / NS_PER_S), 0)
             flat = np.concatenate([[False], self.in_stance[first : first + count], [False]])
             edges = np.flatnonzero(flat[1:] != flat[:-1])
             for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-                from_ns, to_ns = (t_ns + round(edge / RATE_HZ * NS_PER_S) for edge in (begin, end))
+                from_ns, to_ns = (t_ns + round(edge / self.rate_hz * NS_PER_S) for edge in (begin, end))
                 if to_ns > since_ns and from_ns < until_ns:
                     spans.append((max(from_ns, since_ns), min(to_ns, until_ns)))
         return spans
@@ -137,7 +141,7 @@ _CHANNEL: Final = f"""
 [[channels]]
 name = "tibialis anterior"
 number = {CHANNEL}
-foot = "{FOOT}"
+foot = "{{foot}}"
 electrode_area_cm2 = 25.0
 current_ma = {CURRENT_MA}
 pulse_width_us = {PULSE_WIDTH_US}
@@ -159,22 +163,28 @@ min_off_s = 0.05
 """
 
 
-def session_text(variant: str, sensor_port: str, bus: Bus | None, stimulator: StimulatorDevice) -> str:
-    """A session for one foot.
+def session_text(
+    variant: str, sensor_port: str, bus: Bus | None, stimulator: StimulatorDevice, worn_by: Walker | None = None
+) -> str:
+    """A session for one foot: the ``worn_by``'s, without whom the simulated patient's.
 
     Variants: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with little
     charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "".
     """
     start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
     text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
-    text += _CHANNEL.format(start=start, stop=stop, dose_mc=DOSE_MC if variant == "dose" else 50.0)
-    text += _sensor_text(FOOT, sensor_port, RATE_HZ) + _stimulator_text(stimulator, bus)
+    foot, rate_hz = (worn_by.foot, worn_by.rate_hz) if worn_by else (FOOT, RATE_HZ)
+    acc_mps2, gyr_radps = (worn_by.acc_range_mps2, worn_by.gyr_range_radps) if worn_by else (None, None)
+    text += _CHANNEL.format(foot=foot, start=start, stop=stop, dose_mc=DOSE_MC if variant == "dose" else 50.0)
+    text += _sensor_text(foot, sensor_port, rate_hz, acc_mps2, gyr_radps) + _stimulator_text(stimulator, bus)
     return text + (_BUTTON if variant == "button" else "")
 
 
-def _sensor_text(sensor: str, port: str, rate_hz: float, acc_range_g: float = 16.0) -> str:
+def _sensor_text(sensor: str, port: str, rate_hz: float, acc_mps2: float | None, gyr_radps: float | None = None) -> str:
+    acc_g = (acc_mps2 or 16.0 * G_MPS2) / G_MPS2
+    gyr_dps = math.degrees(gyr_radps) if gyr_radps else 2000.0
     text = f'\n[[sensors]]\nsensor = "{sensor}"\ndevice = "xbus"\nport = "{port}"\nrate_hz = {rate_hz}\n'
-    return text + f"acc_range_g = {acc_range_g:.1f}\ngyr_range_dps = 2000.0\n"
+    return text + f"acc_range_g = {acc_g:.1f}\ngyr_range_dps = {gyr_dps:.1f}\n"
 
 
 def _stimulator_text(stimulator: StimulatorDevice | None, bus: Bus | None) -> str:
@@ -205,9 +215,8 @@ def patient_session_text(
     for foot, geometry in VirtualPatient(settings).geometry.items():
         if foot in settings.sensors:
             text += "\n" + toml_text({"geometry": {foot: geometry.model_dump()}})
-    acc_g = (settings.imu.acc_range_mps2 or 16.0 * G_MPS2) / G_MPS2
     for sensor, port in (ports or {}).items():
-        text += _sensor_text(sensor, port, settings.rate_hz, acc_g)
+        text += _sensor_text(sensor, port, settings.rate_hz, settings.imu.acc_range_mps2)
     return text + _stimulator_text(stimulator, bus)
 
 
