@@ -28,6 +28,7 @@ from fes.signals import (
 )
 from fes.simulation.forward import DeliveredPulse, Harm, PatientSettings, VirtualPatient, VirtualStride, harm_of
 from fes.stimulation.tuning.tuner import TuningReport
+from statemachine.phases import Transition
 
 STEP_NS = 10_000_000
 CALIBRATION_S = 30.0
@@ -141,7 +142,7 @@ def walk(
         for outcome in decision.outcomes:
             if isinstance(outcome, StrideResult):
                 done.measured.append(outcome)
-            elif outcome.transition == "T5":
+            elif outcome.transition is Transition.T5:
                 done.put_back += 1
 
     armed, t_ns, seen_strides = False, 0, 0

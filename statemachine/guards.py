@@ -62,6 +62,7 @@ class Thresholds(NamedTuple):
     swung_after_s: float = 0.25  # … but for a contact's rebound, which lasts no longer, whatever the cadence
     push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
     push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
+    carried_share: float = 0.05  # T2: carried along, a foot swings as soon as it turns toe-up above this rate
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
     push_off_again: float = 0.15  # T3: of the stride: a greater push-off so soon after T2 begins the swing anew
     shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
@@ -103,13 +104,19 @@ def t2(x: Features, p: Thresholds) -> bool:
 
     The paper's formula (the derivative turns negative), not its text (the rate changes sign), which comes some 60 ms
     after foot off; ``swing_at_reversal`` asks for the text's. The peak must be a push-off's, and must be left by
-    ``push_off_drop``.
+    ``push_off_drop``. Stimulation may hold the foot back so much that neither its push-off nor its turn toe-up is
+    like those without: where the foot travels, its turn alone decides.
     """
+    rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     return (
-        x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps
-        and x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps
-        and (x.toe_down_radps < 0.0 or not p.swing_at_reversal)
-    ) or -x.toe_down_radps > p.toe_up_share * max(p.push_off_radps, 0.5 * p.fall_radps)
+        (
+            x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps
+            and x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps
+            and (x.toe_down_radps < 0.0 or not p.swing_at_reversal)
+        )
+        or -x.toe_down_radps > p.toe_up_share * rate
+        or (x.travelling and -x.toe_down_radps > p.carried_share * rate)
+    )
 
 
 def t3(x: Features, p: Thresholds) -> bool:

@@ -92,6 +92,7 @@ def above(x: float) -> float:
 
 NO_PUSH_OFF = {"turned_rad": 0.0, "since_contact_s": 2.0 * P.toe_up_after * STRIDE_S}
 DRAGGED = {"toe_down_peak_radps": 0.0}
+CARRIED = {**DRAGGED, "travelling": True}
 SHUFFLED = {"toe_down_peak_radps": 0.0, "toe_down_radps": 0.01}  # hardly a fall
 SLOW = {"stride_s": SLOW_S}
 SILENT = {"contact_jerk_mps3": 0.0}
@@ -147,6 +148,11 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
      {**DRAGGED, "push_off_radps": 2.0, "toe_down_radps": -WEAK_TOE_UP}, False),
     (Transition.T2, "of a weak push-off, a dragged foot",
      {**DRAGGED, "push_off_radps": 2.0, "toe_down_radps": -above(WEAK_TOE_UP)}, True),
+    (Transition.T2, "carried along, toe-up at the limit", {**CARRIED, "toe_down_radps": -P.carried_share * RATE}, False),
+    (Transition.T2, "carried along", {**CARRIED, "toe_down_radps": -above(P.carried_share * RATE)}, True),
+    (Transition.T2, "of a weak push-off, carried along",
+     {**CARRIED, "push_off_radps": 2.0, "toe_down_radps": -above(P.carried_share * WEAK_RATE)}, True),
+    (Transition.T2, "a heel that is put back", {**DRAGGED, "toe_down_radps": -above(P.carried_share * RATE)}, False),
     (Transition.T3, "a jump after mid-swing", {}, True),
     (Transition.T3, "a jump at the limit", {"contact_jerk_mps3": JERK_MPS3}, False),
     (Transition.T3, "a jump just above the limit", {"contact_jerk_mps3": above(JERK_MPS3)}, True),

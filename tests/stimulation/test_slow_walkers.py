@@ -1,0 +1,44 @@
+"""Wang's five slow walks with a tuned channel: the gait is not broken, and every swing is stimulated to its end."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fes.simulation.forward import VirtualPatient
+from fes.simulation.forward.gait_patterns import PATTERNS
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+try:
+    from closed_loop_walk import walk
+    from tuning import session_of
+    from tuning_cohort import patient
+finally:
+    sys.path.remove(str(BENCHMARKS))
+
+SEED, STRIDES, SETTLED = 17, 25, 5
+STIMULATED = 0.7  # of a swing: from the last pulse before its middle to the last one in it
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(name for name in PATTERNS if name.startswith("hemiparetic")))
+def test_stimulation_does_not_break_a_slow_gait(name: str) -> None:
+    settings, calibration, _ = patient(
+        SEED, lambda drawn: replace(drawn, pattern=name, speed_mps=PATTERNS[name].speed_mps)
+    )
+    geometry = VirtualPatient(settings).geometry["right_foot"]
+    for method in ("none", "learning"):
+        done = walk(settings, session_of(geometry, method, 26.0, 5.0), calibration, 240.0, STRIDES)
+        assert done.put_back == 0, "no heel rise became a heel put back"
+        assert done.latched == ""
+        assert len(done.strides) == STRIDES
+    pulses_ns = [pulse.t_ns for pulse in done.pulses]
+    for stride in done.strides[SETTLED:]:
+        begun_ns, ended_ns = stride.t_foot_off_ns, stride.t_contact_ns
+        in_swing = [t_ns for t_ns in pulses_ns if begun_ns <= t_ns <= ended_ns]
+        assert in_swing, f"stride {stride.number} had no burst"
+        assert in_swing[-1] - begun_ns > STIMULATED * (ended_ns - begun_ns), f"stride {stride.number}: cut short"
