@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from live_parts import FakeStimulator, Lost, Raw, SameClock, SetClock
+from test_live_operator import settings
+from test_live_stalls import Written
 
 from fes.analysis.pipeline import calibrations_of
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.strides.results import StrideMaker
+from fes.live.commands import CommandKind, OperatorCommand, State
+from fes.live.sensors import SensorStream
+from fes.live.session import LiveSession
 from fes.live.sides import EXCHANGED, SideCheck
+from fes.live.stimulator import LiveStimulator
 from fes.recording import Recording, Track, read_recording
 from fes.recording.tracks import samples_of
-from fes.signals import FOOT_SENSORS, ImuSample, StrideResult, SystemFault
+from fes.signals import (
+    FOOT_SENSORS,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimStatus,
+    StrideResult,
+    SystemFault,
+)
 
 TRIAL = Path(__file__).resolve().parents[2] / "sim_inputs"
 
@@ -71,3 +88,76 @@ def test_one_foot_alone_is_never_told() -> None:
     assert check.done
     assert check.exchanged == ""
     assert check.fileno() is None
+
+
+class WalkedAgain:
+    """A line that brings a recording; each reading moves the clock on to its next moment."""
+
+    def __init__(self, tracks: Mapping[str, Track], clock: SetClock) -> None:
+        self.sensors = tuple(tracks)
+        self._clock, self._begin_ns = clock, clock.now_ns
+        self._moments = zip(*(rows_of(track) for track in tracks.values()), strict=True)
+        self._ready, self._more = os.pipe()  # always readable
+        os.write(self._more, b"x")
+        self._listened = False
+
+    def fileno(self) -> int:
+        return self._ready
+
+    def read(self, t_ns: int) -> list[Raw]:
+        if not self._listened:  # what has queued up before a session is let go
+            self._listened = True
+            return []
+        moment = next(self._moments, None)
+        if moment is None:
+            return []
+        self._clock.now_ns = max(self._clock.now_ns, self._begin_ns + moment[0].t_host_ns)
+        return [replace(raw, t_host_ns=t_ns, t_device_ns=self._begin_ns + raw.t_device_ns) for raw in moment]
+
+    def reopen(self) -> None:
+        raise Lost
+
+    def close(self) -> None:
+        os.close(self._ready)
+        os.close(self._more)
+
+
+def rows_of(track: Track) -> list[Raw]:
+    rows = zip(track.t_ns.tolist(), track.acc_mps2.tolist(), track.gyr_radps.tolist(), strict=True)
+    return [Raw(track.sensor, t_ns, t_ns, tuple(acc), tuple(gyr)) for t_ns, acc, gyr in rows]
+
+
+class Answering(FakeStimulator):
+    """Says that it is alive whenever it is asked."""
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        return [StimAlive(t_ns, 1, 0)]
+
+
+@pytest.mark.parametrize("is_exchanged", [True, False])
+def test_a_session_in_which_the_feet_are_exchanged_latches_and_cannot_be_armed(
+    tmp_path: Path, is_exchanged: bool
+) -> None:
+    recording, calibrations = recording_of_two_feet()
+    one = settings()
+    worn = one.model_copy(
+        update={"sensors": tuple(one.sensors[0].model_copy(update={"sensor": foot}) for foot in FOOT_SENSORS)}
+    )
+    clock = SetClock(step_ns=1_000)
+    stimulator = LiveStimulator(Answering(), lambda: pytest.fail("it was not lost"), Lost, clock)
+    log = Written(tmp_path / "session.feslog", {})
+    walked = WalkedAgain(exchanged(recording.tracks) if is_exchanged else recording.tracks, clock)
+    line = SensorStream(walked, SameClock, Lost, frozenset(FOOT_SENSORS))
+    live = LiveSession(worn, dict(calibrations), log, stimulator, clock, duration_s=64.5)
+    live.run([line], [], [], [], lambda: None)
+    assert live.gate.latched == (EXCHANGED if is_exchanged else "")
+    assert live.operator.state is (State.FAULT if is_exchanged else State.SHADOW)
+    events = live.operator.execute(OperatorCommand(CommandKind.ARM, origin="key"), clock.now_ns)  # it stands again
+    acts = [event.action for event in events if isinstance(event, OperatorAct)]
+    if is_exchanged:
+        assert acts == []
+        assert live.operator.message == f"cannot arm: {EXCHANGED}"
+    else:
+        assert OperatorAction.ARM in acts
+    log.close(live.summary())
+    line.close()
