@@ -4,7 +4,7 @@ The state informs people and locks commands. What stimulates is decided by contr
 everything that a command changes goes through an event, is logged, and comes out the same in a replay.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,7 +15,7 @@ from fes.live.commands import CONTROL, CURRENT_ALLOWED, Cause, CommandKind, Oper
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.status import ground_text
 from fes.session_log import Note
-from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event, OperatorAct, OperatorAction, Tick
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.tuner import difference
 
@@ -98,15 +98,25 @@ JUST_NS: Final = 100_000_000  # what the loop did once it was off, on purpose, m
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
 
-def lone_side(feet: Iterable[str]) -> str:
-    """ "left" or "right", where that leg alone has a sensor: then no movement tells whether it is on the other one."""
-    sides = {foot.split("_")[0] for foot in feet}
-    return sides.pop() if len(sides) == 1 else ""
+def unchecked_side(phase_sensor_of: Mapping[str, str]) -> str:
+    """ "left", "right" or "both": whose sensors no movement tells from the other leg's.
+
+    "" where two feet have sensors of their own, which :class:`fes.live.sides.SideCheck` watches.
+    """
+    sides = {foot.split("_")[0] for foot in phase_sensor_of}
+    if not sides or set(FOOT_SENSORS) <= set(phase_sensor_of.values()):
+        return ""
+    return sides.pop() if len(sides) == 1 else "both"
 
 
-def question_of_side(side: str) -> str:
+def sides_said(phase_sensor_of: Mapping[str, str]) -> str:
+    """On which leg each sensor is, as its name says."""
+    return " and ".join(f"{sensor} on the {sensor.split('_')[0]} leg" for sensor in phase_sensor_of.values())
+
+
+def question_of_side(phase_sensor_of: Mapping[str, str]) -> str:
     """What is asked of a person before arming."""
-    return f"One leg's sensor cannot tell its side: is it on the {side} leg?"
+    return f"Movement does not tell which leg each sensor is on: is {sides_said(phase_sensor_of)}?"
 
 
 @dataclass(eq=False)
@@ -115,8 +125,8 @@ class Operator:
 
     ``monitors`` by sensor; ``phase_sensor_of``: by foot, the sensor that tells its phases; ``answered_ns``: when the
     stimulator last said anything; ``checks``: further reasons against arming, each "" when there is none (log, stop
-    file, free disk …); ``unknown``: what the stimulator cannot tell yet, said when armed. ``side``: "left" or "right",
-    where a person has said already on which leg the only sensor sits; see :func:`lone_side`.
+    file, free disk …); ``unknown``: what the stimulator cannot tell yet, said when armed. ``side``: "left", "right"
+    or "both", where a person has said already that the sensors of it are on their own legs; see :func:`unchecked_side`.
     """
 
     session: Session
@@ -131,8 +141,8 @@ class Operator:
     side: str = ""
 
     def __post_init__(self) -> None:
-        self._lone_side = lone_side(self.phase_sensor_of) if self.session.exercise is None else ""
-        self._side_by = "--side" if self.side and self.side == self._lone_side else ""
+        self._unchecked = unchecked_side(self.phase_sensor_of) if self.session.exercise is None else ""
+        self._side_by = "--side" if self.side and self.side == self._unchecked else ""
         self._side_asked_ns: int | None = None
         self.machine = SessionMachine()
         self.message = "warming up"
@@ -257,7 +267,7 @@ class Operator:
         resumes = self.state is State.PAUSED
         if reasons := self.reasons_not_ready(t_ns, at_rest=not resumes):
             return self._refuse(t_ns, "cannot arm: " + "; ".join(reasons))
-        if self._lone_side and not self._is_side_confirmed(command, t_ns):
+        if self._unchecked and not self._is_side_confirmed(command, t_ns):
             return []
         arm = OperatorAct(t_ns, OperatorAction.ARM)
         self._zero_moved = ""
@@ -267,7 +277,7 @@ class Operator:
         return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0), arm, *self._without_heights(t_ns)]
 
     def _is_side_confirmed(self, command: OperatorCommand, t_ns: int) -> bool:
-        """Whether a person has said that the only leg with a sensor is the one stated; a key must be pressed twice.
+        """Whether a person has said that each sensor is on the leg stated; a key must be pressed twice.
 
         Once in a session, and noted. The confirmation of the page and of the control socket stands for the second key.
         """
@@ -275,10 +285,10 @@ class Operator:
             return True
         asked_ns, self._side_asked_ns = self._side_asked_ns, t_ns
         if not self._side_by and command.origin == "key" and (asked_ns is None or t_ns - asked_ns > AGAIN_NS):
-            self.message = f"{question_of_side(self._lone_side)} a again"
+            self.message = f"{question_of_side(self.phase_sensor_of)} a again"
             return False
         by = self._side_by or command.origin
-        self.note(Note(t_ns, "info", "session", f"the only sensor is on the {self._lone_side} leg, confirmed ({by})"))
+        self.note(Note(t_ns, "info", "session", f"{sides_said(self.phase_sensor_of)}, confirmed ({by})"))
         self._side_by = SIDE_NOTED
         return True
 

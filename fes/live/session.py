@@ -60,9 +60,8 @@ class LiveSession:
     """Made from open devices and an open log; :meth:`run` is the session.
 
     Everything is stamped by ``clock_ns``, the monotonic clock. After ``duration_s`` the session ends by itself; None:
-    the operator ends it. For ``open_lead_detected_from_ma`` see :class:`fes.live.stimulator.Electrodes`. ``side``: on
-    which leg the only sensor is, if a person has said so. ``observed`` gets every event, in order, before anybody acts
-    on it.
+    the operator ends it. For ``open_lead_detected_from_ma`` see :class:`fes.live.stimulator.Electrodes`. ``side``:
+    as of :class:`fes.live.operator.Operator`. ``observed`` gets every event, in order, before anybody acts on it.
     """
 
     def __init__(

@@ -39,12 +39,13 @@ from fes.live.commands import (
 from fes.live.commands import CommandKind as Kind
 from fes.live.dashboard.access import Access
 from fes.live.dashboard.message_handler import MessageHandler
+from fes.live.dashboard.process import about_session
 from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor, ShownLog
 from fes.live.notices import Notices, tuning_status
-from fes.live.operator import Operator, lone_side
+from fes.live.operator import Operator, unchecked_side
 from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
@@ -92,7 +93,9 @@ def settings() -> Session:
 class Bench:
     """Operator, gate and controller; :meth:`stand` lets samples come."""
 
-    def __init__(self, session: Session | None = None, side: str = "right") -> None:
+    def __init__(
+        self, session: Session | None = None, side: str = "right", phase_sensor_of: dict[str, str] | None = None
+    ) -> None:
         session = settings() if session is None else session
         self.t_ns = 0
         self.answered_ns: int | None = None
@@ -106,7 +109,7 @@ class Bench:
             self.controller,
             self.gate,
             {FOOT: self.monitor},
-            {FOOT: FOOT},
+            phase_sensor_of or {FOOT: FOOT},
             self.notes.append,
             lambda: self.answered_ns,
             lambda: self.further,
@@ -162,7 +165,7 @@ def test_it_gets_ready_is_armed_by_hand_and_starts_from_nothing() -> None:
 
 
 def side_notes(bench: Bench) -> list[str]:
-    return [note.text for note in bench.notes if "only sensor" in note.text]
+    return [note.text for note in bench.notes if "confirmed" in note.text]
 
 
 @pytest.mark.requirement("SR-21")
@@ -170,14 +173,16 @@ def test_one_legs_side_is_asked_of_the_operator_once_and_the_answer_noted() -> N
     bench = Bench(side="")
     bench.stand(3.0)
     assert bench.command(Kind.ARM) == []
-    assert bench.operator.message == "One leg's sensor cannot tell its side: is it on the right leg? a again"
+    assert bench.operator.message == (
+        "Movement does not tell which leg each sensor is on: is right_foot on the right leg? a again"
+    )
     assert bench.operator.state is State.SHADOW
     bench.stand(5.1)  # too late: asked anew
     assert bench.command(Kind.ARM) == []
     assert side_notes(bench) == []
     bench.command(Kind.ARM)
     assert bench.operator.state is State.ARMED
-    assert side_notes(bench) == ["the only sensor is on the right leg, confirmed (key)"]
+    assert side_notes(bench) == ["right_foot on the right leg, confirmed (key)"]
     bench.command(Kind.DISARM)
     bench.stand(1.0)
     bench.command(Kind.ARM)
@@ -193,7 +198,7 @@ def test_one_legs_side_that_was_said_otherwise_is_noted_as_such(side: str, origi
     for event in bench.operator.execute(OperatorCommand(Kind.ARM, origin=origin), bench.t_ns):
         bench.handle(event)
     assert bench.operator.state is State.ARMED
-    assert side_notes(bench) == [f"the only sensor is on the right leg, confirmed ({by})"]
+    assert side_notes(bench) == [f"right_foot on the right leg, confirmed ({by})"]
 
 
 def test_the_other_side_said_confirms_nothing() -> None:
@@ -203,9 +208,40 @@ def test_the_other_side_said_confirms_nothing() -> None:
     assert bench.operator.state is State.SHADOW
 
 
-def test_only_one_leg_has_a_side_to_ask_for() -> None:
-    assert lone_side(["left_foot"]) == "left"
-    assert lone_side(["left_foot", "right_foot"]) == lone_side([]) == ""
+SHANKS = {"left_foot": "left_shank", "right_foot": "right_shank"}
+MIXED = {"left_foot": "left_foot", "right_foot": "right_shank"}
+
+
+@pytest.mark.parametrize("worn", [SHANKS, MIXED])
+def test_both_legs_are_asked_for_where_not_both_feet_have_sensors_of_their_own(worn: dict[str, str]) -> None:
+    left, right = worn.values()
+    said = f"{left} on the left leg and {right} on the right leg"
+    bench = Bench(phase_sensor_of=worn)
+    bench.stand(3.0)
+    assert bench.command(Kind.ARM) == []
+    assert bench.operator.message == f"Movement does not tell which leg each sensor is on: is {said}? a again"
+    bench.command(Kind.ARM)
+    assert bench.operator.state is State.ARMED
+    assert side_notes(bench) == [f"{said}, confirmed (key)"]
+    bench = Bench(side="both", phase_sensor_of=worn).armed()
+    assert side_notes(bench) == [f"{said}, confirmed (--side)"]
+
+
+def test_two_feet_with_sensors_of_their_own_are_not_asked_for() -> None:
+    bench = Bench(side="", phase_sensor_of={foot: foot for foot in SHANKS}).armed()
+    assert side_notes(bench) == []
+    assert unchecked_side({}) == ""
+    assert unchecked_side({"left_foot": "left_foot"}) == unchecked_side({"left_foot": "left_shank"}) == "left"
+
+
+def test_the_page_asks_what_the_session_asks() -> None:
+    def asked(mode: str, *calibrated: str) -> str:
+        return str(about_session(settings(), mode, calibrated)["ask_side"])
+
+    both = asked("live", "left_shank", "right_shank")
+    assert both.endswith("is left_shank on the left leg and right_shank on the right leg?")
+    assert asked("live", "left_foot").endswith("is left_foot on the left leg?")
+    assert asked("live", "left_foot", "right_foot") == asked("replay") == asked("exercise", "left_foot") == ""
 
 
 class Steps:

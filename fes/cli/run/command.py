@@ -33,7 +33,7 @@ from fes.live.commands import CommandKind, OperatorCommand
 from fes.live.exercise import ExerciseClock
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
-from fes.live.operator import lone_side
+from fes.live.operator import sides_said, unchecked_side
 from fes.live.processes import ViewProcess
 from fes.live.realtime import become_real_time
 from fes.live.sensors import SensorStream
@@ -139,7 +139,11 @@ def live_options(command: Command) -> Command:
 @click.argument("session", type=PATH)
 @click.option("--calibration", type=PATH, help="From `fes calibrate`. Default: calibrate first.")
 @click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")
-@click.option("--side", type=click.Choice(("left", "right")), help="On which leg the only sensor is; else arming asks.")
+@click.option(
+    "--side",
+    type=click.Choice(("left", "right", "both")),
+    help="Legs whose sensors sit as named; else arming asks.",
+)
 @live_options
 def command(session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
@@ -181,12 +185,13 @@ def run_session(path: Path, options: Options) -> Path:
         if missing:
             which = ", ".join(missing)
             raise Problem(f"{options.calibration}: holds no calibration of {which}, which a channel follows.")
-        worn_on = lone_side(phase_sensors(calibrations))
-        if options.side and options.side != worn_on:
+        phase_sensor_of = phase_sensors(calibrations)
+        unchecked = unchecked_side(phase_sensor_of)
+        if options.side and options.side != unchecked:
             says = (
-                f"the session's only sensor is on the {worn_on} leg"
-                if worn_on
-                else "the session has both legs' sensors"
+                f"the session has {sides_said(phase_sensor_of)}"
+                if unchecked
+                else "the session has a sensor on each foot, and tells them apart by itself"
             )
             raise Problem(f"--side {options.side}: {says}.")
         log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, supervisor, stack)
@@ -267,7 +272,9 @@ def run_live(
         header = live_header(session, calibrations, opened.session_id, utc_now(), opened_ns, opened.current_step_ma)
         log = PipedLog(log_path, header)
     kind, page_port = str(header["kind"]), options.dashboard_port
-    dashboard = devices.open_dashboard(folder, session, kind, page_port, stack) if options.dashboard else None
+    dashboard = None
+    if options.dashboard:
+        dashboard = devices.open_dashboard(folder, session, kind, page_port, stack, calibrations)
     viewed = sys.stdout.isatty() if options.view is None else options.view
     view = stack.enter_context(ViewProcess()) if viewed else None
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -38,8 +39,12 @@ def dashboard_options(command: Command) -> Command:
     return dashboard(port(command))
 
 
-def open_dashboard(folder: Path, session: Session, mode: str, port: int, stack: ExitStack) -> DashboardProcess:
-    """Start the dashboard's process and print its address; ``stack`` ends it. ``mode``: live, exercise or replay.
+def open_dashboard(
+    folder: Path, session: Session, mode: str, port: int, stack: ExitStack, calibrated: Iterable[str] = ()
+) -> DashboardProcess:
+    """Start the dashboard's process and print its address; ``stack`` ends it.
+
+    For ``mode`` and ``calibrated`` see :func:`fes.live.dashboard.process.about_session`.
 
     Raises:
         Problem: the port is taken, or the folder cannot be written.
@@ -47,7 +52,7 @@ def open_dashboard(folder: Path, session: Session, mode: str, port: int, stack: 
     from fes.live.dashboard.process import LINK_NAME, DashboardProcess, about_session
 
     try:
-        dashboard = stack.enter_context(DashboardProcess(folder, about_session(session, mode), port))
+        dashboard = stack.enter_context(DashboardProcess(folder, about_session(session, mode, calibrated), port))
     except OSError as error:
         raise Problem(f"--dashboard-port {port}: cannot be served: {error.strerror}. Choose another port.") from error
     click.secho(f"Dashboard  {dashboard.url}", bold=True, err=True)

@@ -5,6 +5,7 @@ import secrets
 import socket
 import subprocess
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
@@ -14,7 +15,7 @@ from fes.estimation.sensor_choice import phase_sensors
 from fes.live.dashboard.access import LOOPBACK, link_address, write_link
 from fes.live.dashboard.frames import END, hello
 from fes.live.dashboard.stream import DashboardStream
-from fes.live.operator import INTENSITY_STEP, lone_side, question_of_side
+from fes.live.operator import INTENSITY_STEP, question_of_side, unchecked_side
 from fes.live.processes import end_helper
 
 LINK_NAME: Final = "page.url"
@@ -24,12 +25,15 @@ SLOW_MS: Final = 10_000
 ANSWER_WAIT_S: Final = 2.0
 
 
-def about_session(session: Session, mode: str) -> dict[str, Any]:
-    """What the dashboard shows before anything happens: channels, bounds. ``mode``: live, exercise or replay."""
-    side = lone_side(phase_sensors(str(device.sensor) for device in session.sensors)) if mode == "live" else ""
+def about_session(session: Session, mode: str, calibrated: Iterable[str] = ()) -> dict[str, Any]:
+    """What the dashboard shows before anything happens: channels, bounds.
+
+    ``mode``: live, exercise or replay. ``calibrated``: the sensors that may have to be asked for.
+    """
+    sensors = phase_sensors(calibrated)
     return {
         "mode": mode,
-        "ask_side": question_of_side(side) if side else "",
+        "ask_side": question_of_side(sensors) if mode == "live" and unchecked_side(sensors) else "",
         "name": session.name,
         "most_intensity": session.stimulation.intensity,
         "intensity_step": INTENSITY_STEP,
