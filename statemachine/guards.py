@@ -62,7 +62,7 @@ class Thresholds(NamedTuple):
     swung_after_s: float = 0.25  # … but for a contact's rebound, which lasts no longer, whatever the cadence
     push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
     push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
-    carried_share: float = 0.05  # T2: carried along, a foot swings as soon as it turns toe-up above this rate
+    carried_share: float = 0.1  # T2: carried along, a foot swings as soon as it turns toe-up above this rate
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
     push_off_again: float = 0.15  # T3: of the stride: a greater push-off so soon after T2 begins the swing anew
     shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
