@@ -96,6 +96,7 @@ class Page:
         """Press and release in the middle of an element; when the press was sent (ns)."""
         x, y = self.middle(selector)
         where = {"x": x, "y": y, "button": "left", "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)  # as every pointer gets there
         begin_ns = time.monotonic_ns()
         self.call("Input.dispatchMouseEvent", type="mousePressed", **where)
         self.call("Input.dispatchMouseEvent", type="mouseReleased", **where)
