@@ -23,6 +23,7 @@ STOP: Final = b'{"ask":"stop"}'
 PRESSES: Final = 64  # remembered: each comes over both ways, web socket and request
 AGAIN_S: Final = 0.005
 TRIES: Final = 2000
+NICE: Final = -10  # a stop is not to wait behind whatever else the machine does; where that is not granted, it does
 FAREWELL_S: Final = 0.2
 WEB: Final[dict[str, Any]] = {
     **{"log_config": None, "access_log": False, "lifespan": "off", "loop": "asyncio", "http": Connection},
@@ -119,6 +120,8 @@ def main() -> int:
     """Serve until the session closes its end; Ctrl-C is the session's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.umask(0o077)
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
     listening, link = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
     with link, listening:
         asyncio.run(SessionLink(listening, link).run())
