@@ -98,6 +98,7 @@ def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dic
             entry["mounting"] = dict(mounting[sensor])
         settings["sensors"][sensor] = entry
     settings["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()} or None
+    settings["ground"] = recording.ground.model_dump(exclude_defaults=True) or None
     settings["extra"] = {key: value for key, value in recording.extra.items() if key != "mounting"} or None
     return columns, settings
 

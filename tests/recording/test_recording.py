@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fes.config import FootGeometry
+from fes.config import FootGeometry, Ground
 from fes.recording import Recording, RecordingError, Track, TrackQuality, read_recording, write_recording
 from fes.recording.write import toml_text
 from fes.signals import G_MPS2, ImuSample
@@ -58,6 +58,7 @@ def test_what_fes_writes_fes_reads(tmp_path: Path, suffix: str) -> None:
         belt_speed_mps=0.8,
         subject="S 07",
         description='tabs\tand "quotes" \\ and \x7f',
+        ground=Ground(incline_percent=-8.0),
         geometry={"left_foot": FootGeometry(toe_forward_m=0.1, toe_up_m=-0.05, heel_forward_m=-0.15, heel_up_m=-0.06)},
         extra={"truth": {"stride_lengths_m": [1.25, 1.3], "ok": True}, "mounting": {"left_foot": {"up": "+z"}}},
     )
@@ -69,7 +70,7 @@ def test_what_fes_writes_fes_reads(tmp_path: Path, suffix: str) -> None:
         assert_same_track(read.tracks[sensor], track)
         assert read.tracks[sensor].rate_hz == track.rate_hz
         assert read.tracks[sensor].quality == track.quality
-    for name in ("name", "belt_speed_mps", "subject", "description", "geometry", "extra"):
+    for name in ("name", "belt_speed_mps", "subject", "description", "geometry", "ground", "extra"):
         assert getattr(read, name) == getattr(written, name)
     assert read.path == path
     assert not list(tmp_path.glob(".*")), "temporary files are gone"
