@@ -370,7 +370,7 @@ def one_walk(
         if not scenario.turned_deg or not event_passed(sample.t_ns):
             return sample
         acc, gyr = turn.apply([sample.acc_mps2, sample.gyr_radps])
-        return replace(sample, acc_mps2=tuple(acc), gyr_radps=tuple(gyr))
+        return sample._replace(acc_mps2=tuple(acc), gyr_radps=tuple(gyr))
 
     def event_passed(t_ns: int) -> bool:
         return t_ns > 30 * NS_PER_S
