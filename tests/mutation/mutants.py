@@ -44,10 +44,6 @@ PARTS = {
         ["drivers/stimulator/can_port.py", "drivers/stimulator/e2e.py"],
         [f"tests/drivers/test_can_{name}.py" for name in ("port", "answers")],
     ),
-    "table": (
-        [f"statemachine/{name}.py" for name in ("table", "machine", "guards")],
-        ["tests/statemachine/test_statemachine.py"],
-    ),
     "plan": (
         ["fes/stimulation/plan.py", "fes/stimulation/envelope.py"],
         [f"tests/stimulation/test_plan{name}.py" for name in ("", "_due", "_early_end", "_parts")],
