@@ -240,8 +240,7 @@ def load_patient(path: Path, **others: object) -> PatientSettings:
             if not isinstance(group, dict):
                 raise ValueError(f"{name} must be a table, [patient.{name}]")
             _refuse(path, f"patient.{name}", group, _names(MuscleSettings))
-            usual = next(item for item in fields(PatientSettings) if item.name == name).default_factory
-            values[name] = replace(usual(), **group)  # type: ignore[operator]
+            values[name] = replace(getattr(PatientSettings(), name), **group)
         if "sensors" in values:
             if not isinstance(values["sensors"], list):
                 raise ValueError(f'sensors = {values["sensors"]!r}: must be a list of names, e.g. ["left_foot"]')
