@@ -109,9 +109,10 @@ def survivor(work: Path, name: str) -> Mutant:
 
 
 def explanations() -> Iterator[tuple[Mutant, str]]:
-    """The survivors that are known, and why each changes nothing."""
+    """The survivors that are known, and why each changes nothing; several changes of a line may share a reason."""
     for row in tomllib.loads(EXPLAINED.read_text(encoding="utf-8"))["mutant"]:
-        yield Mutant(row["file"], row["old"], row["new"]), row["why"]
+        for new in [row["new"]] if isinstance(row["new"], str) else row["new"]:
+            yield Mutant(row["file"], row["old"], new), row["why"]
 
 
 def page(fates: Counter[str], files: Counter[str], known: dict[Mutant, str]) -> str:
