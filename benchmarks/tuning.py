@@ -238,6 +238,8 @@ def without(part: str, controller: Controller) -> None:
 
 BY_SETTINGS = ("timing", "hold")  # taken away in the session
 PARTS = ("identification", "samples", "faults", "speeds", "excitation", *BY_SETTINGS)
+# a learnt profile holds by itself, and only it goes by samples
+NOT_OF = (("hold", "learning"), ("hold", "two"), ("samples", "run-to-run"))
 
 
 # --- what came of it ------------------------------------------------------------------------------------------
@@ -396,7 +398,7 @@ def one_patient(
     settings, calibration, clinic = prepared(seed, scenario.who)
     found = {}
     for method in methods:
-        for part in ("", *(parts if method in TUNED else ())):
+        for part in ("", *(part for part in parts if method in TUNED and (part, method) not in NOT_OF)):
             label = f"{method} without {part}" if part else method
             found[label] = one_walk(settings, calibration, scenario, method, clinic, rate_ma, part)
     return found

@@ -338,6 +338,19 @@ def test_time_that_stands_or_runs_backward_does_not_turn_the_mean() -> None:
     assert judge.not_ready == ""
 
 
+def test_a_knock_counts_as_twice_gravity_in_the_mean_force() -> None:
+    judge = averaged((0.0, 0.0, G_MPS2), 50)
+    judge.fault(sample(510 * MS, 0, (0.0, 500.0, 0.0), (0.0, 1.0, 0.0)))
+    assert judge.not_ready == ""
+
+
+def test_a_triad_that_repeats_itself_is_told_by_its_sensors_name() -> None:
+    judge, said = Plausibility("left_foot", None, None), ""
+    for k in range(20):
+        said = said or judge.fault(sample(k * 10 * MS, k * 10 * MS, UP, (0.0, 1.0, 0.1 * k)))
+    assert said == "left_foot's accelerometer is frozen: the same values, the other's change"
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e300])
 def test_mean_force_does_not_remember_what_is_no_number(bad: float) -> None:
     judge = averaged((0.0, 0.0, G_MPS2), 50)
@@ -459,6 +472,7 @@ def test_a_step_between_samples_far_apart_is_none() -> None:
     assert first(told(forces, sent_ns=0)) is None
     assert first(told(forces, sent_ns=-1)) is None
     assert first(told(forces, sent_ns=1)) == 13
+    assert first(told([70.0] * 30, step_ns=20 * MS)) is None, "nor a force that has been so since a slow sensor began"
 
 
 @pytest.mark.parametrize(("gap_ns", "tells"), [(25 * MS, True), (25 * MS + 1, False)])
