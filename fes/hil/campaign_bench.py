@@ -24,6 +24,7 @@ LOST_TIME: Final = ("stalled for", "ms old", "ms late", "no answer", "unanswered
 KEPT_NS: Final = 600 * NS_PER_S
 ARM_S: Final = 30.0
 BURST_S: Final = 30.0
+STOOD: Final = 0.95  # of the time: a stride's swing takes more of it
 TRIGGER_EVERY_S: Final = 1.5  # a burst by hand lasts 1 s and falls
 
 
@@ -225,6 +226,14 @@ class CampaignBench:
         now_ns = time.monotonic_ns()
         stances_ns = self.equipment.stances_ns(since_ns, now_ns)
         return None if stances_ns is None else overlap_ms(stretches, stances_ns, now_ns)
+
+    def stood_since(self, since_ns: int) -> bool:
+        """Whether the simulated patient has, in truth, stood all the time since then; False where nobody knows."""
+        if not isinstance(self.equipment, Devices):
+            return False
+        now_ns = time.monotonic_ns()
+        stances_ns = self.equipment.stances_ns(since_ns, now_ns) or []
+        return sum(end_ns - begin_ns for begin_ns, end_ns in stances_ns) > STOOD * (now_ns - since_ns)
 
     def outputs(self, since_ns: int = 0) -> list[Output]:
         """What the stimulator has put out since then, as far as it is kept: ten minutes."""

@@ -39,7 +39,7 @@ from fes.hil.attempts import refusal_attempt
 from fes.hil.baseline import Baseline, Lateness
 from fes.hil.campaign_bench import CampaignBench
 from fes.hil.controller import Child, ScriptedOperator
-from fes.hil.devices import TRANSPORTS, BusWitness, Hardware, set_link
+from fes.hil.devices import TRANSPORTS, BusWitness, Devices, Hardware, set_link
 from fes.hil.injections import INJECTIONS
 from fes.hil.results import (
     MS,
@@ -281,6 +281,19 @@ def test_what_was_played_says_when_the_foot_was_in_stance() -> None:
     assert [(a // MS, b // MS) for a, b in spans] == [(60, 100), (100, 130), (130, 160), (230, 280), (280, 350)]
     current = [Output(150 * MS, 260 * MS, 260 * MS), Output(340 * MS, None, 340 * MS)]
     assert overlap_ms(current, spans, 345 * MS) == 10.0 + 30.0 + 5.0
+
+
+def test_a_walk_that_ended_has_stood_and_a_step_has_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only where the foot stayed on the ground is a lying sensor brought about once more."""
+    devices = object.__new__(Devices)
+    bench = CampaignBench(devices, frozenset(), ExitStack())
+    monkeypatch.setattr("fes.hil.campaign_bench.time.monotonic_ns", lambda: 2000 * MS)
+    for stances_ms, stood in [([(500, 2000)], True), ([(500, 1200), (1210, 2000)], True), ([(500, 1400)], False)]:
+        spans = [(begin * MS, end * MS) for begin, end in stances_ms]
+        monkeypatch.setattr(Devices, "stances_ns", lambda self, since_ns, until_ns, spans=spans: spans)
+        assert bench.stood_since(500 * MS) is stood
+    monkeypatch.setattr(Devices, "stances_ns", lambda self, since_ns, until_ns: None)  # a virtual patient: nobody knows
+    assert not bench.stood_since(500 * MS)
 
 
 def test_what_must_go_off_has_a_deadline() -> None:
