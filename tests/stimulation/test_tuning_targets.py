@@ -15,6 +15,7 @@ from fes.stimulation.tuning.targets import (
     GroundWatch,
     Reading,
     StrideFilter,
+    SwingTimes,
     interpolate,
     pitch_at_contact_rad,
     read_stride,
@@ -99,6 +100,16 @@ def test_each_bin_answers_for_the_samples_that_its_pulses_reach() -> None:
             first_s = 0.1 + 0.05 * (k + 0.5) + delay_s  # of its pulses' force, which lasts 0.2 s
             assert drive == (0.3 if first_s <= 0.52 and first_s + 0.2 >= 0.5 else -0.1), k
     assert missing_drives(zones, 0.1, [2.0], [0.2]) == [0.2] * 12  # who reaches nothing goes with the nearest
+
+
+def test_early_pulses_answer_for_all_that_is_left_of_mid_swing() -> None:
+    """A toe that is high on its way needs no less to be carried over where it comes low."""
+    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
+    times_s = [0.02 * k for k in range(20, 40)]
+    low_in_mid_swing = [0.3 if 0.58 <= t < 0.59 else -0.1 for t in times_s]
+    low_at_contact = [0.3 if 0.74 <= t < 0.75 else -0.1 for t in times_s]
+    assert missing_drives(zones, 0.1, times_s, low_in_mid_swing) == [0.3] * 8 + [-0.1] * 4
+    assert missing_drives(zones, 0.1, times_s, low_at_contact) == [-0.1] * 7 + [0.3] * 4 + [-0.1]
 
 
 def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:

@@ -11,8 +11,9 @@ until the end, as strong as the pitch at contact needs, never stronger than the 
 after Seel, Werner, Raisch & Schauer, *Control Engineering Practice* 48 (2016). ``e[k]`` is what each sample of the last
 swing is short of its reference: the toe's height in mid-swing, foot pitch (or roll) where contact comes. ``G⁻¹`` turns
 it into drive by the identified response (threshold and slope), ``d`` is the identified delay from pulse to movement,
-and a pulse answers for all the samples that its force reaches. The swing's length varies, so only what the last swing
-reached is updated (variable pass length). Q averages over neighbours, no greater than 1 at any frequency.
+and a pulse answers for all the samples that its force reaches, before the end of mid-swing for all that is left of it.
+The swing's length varies, so only what the last swing reached is updated (variable pass length). Q averages over
+neighbours, no greater than 1 at any frequency.
 """
 
 from collections import deque
@@ -63,13 +64,16 @@ def zones_of(times: SwingTimes, burst_s: float, delay_s: float, bins: int) -> Zo
 def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missing: Sequence[float]) -> list[float]:
     """What each bin reached is short of, in drive: the most of all samples that its pulses' force reaches.
 
-    ``missing`` (N,) is what the samples at ``times_s`` (N,) since entry into pre-swing are short of; those before the
-    first and beyond the last answer for the bins that reach none.
+    A foot that has been lifted has to be carried over: early pulses answer for what is left of mid-swing as well, not
+    for the toe's height on its way there, which the knee gives it. ``missing`` (N,) is what the samples at ``times_s``
+    (N,) since entry into pre-swing are short of; those before the first and beyond the last answer for the bins that
+    reach none.
     """
-    found = []
+    found, carried_s = [], 0.0 if zones.times is None else zones.times.middle_s
     for k in range(zones.reached):
         begin_s = zones.burst_s + (k + 0.5) * BIN_S + delay_s
-        inside = [m for t, m in zip(times_s, missing, strict=True) if begin_s <= t <= begin_s + FORCE_LASTS_S]
+        end_s = max(begin_s + FORCE_LASTS_S, carried_s)
+        inside = [m for t, m in zip(times_s, missing, strict=True) if begin_s <= t <= end_s]
         found.append(max(inside) if inside else missing[0 if begin_s < times_s[0] else -1])
     return found
 
