@@ -19,7 +19,7 @@ from fes.gate.coherence import Coherence
 from fes.signals import G_MPS2, NS_PER_S, ImuSample
 
 SAID = Path(__file__).with_name("coherence_said.json")
-SECONDS, FROM_S = 20.0, (6.0, 15.0)
+SECONDS, FROM_S = 20.0, {"": (6.0, 15.0), "early": (2.0, 5.0), "always": (0.0, 0.0)}
 RATES_HZ = (80, 100)
 Values = list[float]
 Lie = Callable[[Values, Values, Random], Values]
@@ -90,6 +90,44 @@ def leaning(now: Values, then: Values, draw: Random) -> Values:
     return [0.3 * size + 0.01 * draw.random(), size, size, *(0.2 * draw.random() for _ in range(3))]
 
 
+def slow(now: Values, then: Values, draw: Random) -> Values:
+    """Another gravity while it turns slowly, about the axis that gravity comes along."""
+    noisy = [0.01 * draw.random() for _ in range(6)]
+    turns_radps = draw.choice((0.1, 0.3, 0.4))
+    return [noisy[0], noisy[1], 7.9 + noisy[2], noisy[3], noisy[4], turns_radps + noisy[5]]
+
+
+def leaping(axis: int) -> Lie:
+    """One axis lies still while the others leap farther than they ever did."""
+    return lambda now, then, draw: [
+        then[k] + 0.02 * draw.random() if k == axis else each + draw.choice((-1.0, 1.0)) * (60.0 if k < 3 else 20.0)
+        for k, each in enumerate(now)
+    ]
+
+
+def faint(force: float, rates: tuple[float, float, float], axis: int) -> Lie:
+    """Nobody walks: forces about gravity and rates of these sizes, and one axis that lies still."""
+    sizes = (force, force, force, *rates)
+    return lambda now, then, draw: [
+        G_MPS2 * (k == 2) + (0.01 * draw.random() if k == axis else size * draw.uniform(-1.0, 1.0))
+        for k, size in enumerate(sizes)
+    ]
+
+
+def jostled(now: Values, then: Values, draw: Random) -> Values:
+    """It turns and turns, by a rate that changes; the force goes with it, and shakes too little for a contact."""
+    then[0] += 0.02
+    return [
+        G_MPS2 * math.sin(then[0]), draw.choice((-0.8, 0.8)), G_MPS2 * math.cos(then[0]),
+        draw.uniform(-0.4, 0.4), 2.0 + draw.uniform(-0.4, 0.4), draw.uniform(-0.4, 0.4),
+    ]  # fmt: skip
+
+
+def weak(now: Values, then: Values, draw: Random) -> Values:
+    """A quarter of gravity that does not feel the turn."""
+    return [0.01 * draw.random(), 0.01 * draw.random(), 2.5 + 0.01 * draw.random(), *now[3:]]
+
+
 FORCE, RATE = (0, 1, 2), (3, 4, 5)
 LIES: dict[str, Lie] = {
     "none": lambda now, then, draw: now,
@@ -100,6 +138,12 @@ LIES: dict[str, Lie] = {
     **{f"axis {k} × {factor}": scaled((k,), factor) for k in range(6) for factor in (0.05, -1.0)},
     "turned": turned, "knocked": knocked, "clipped": clipped, "leaning": leaning,
     "no number": lambda now, then, draw: [math.nan if draw.random() < 0.01 else each for each in now],
+    **{f"early axis {k}": held((k,), 0.02) for k in range(6)},
+    **{f"axis {k} murmurs": held((k,), 0.5 if k < 3 else 0.15) for k in range(6)},
+    **{f"leaping, axis {k} still": leaping(k) for k in range(6)},
+    "always faint in force": faint(1.5, (6.0, 6.0, 6.0), 4), "always faint in rate": faint(9.0, (0.3, 0.3, 0.3), 1),
+    "always faint but one": faint(9.0, (6.0, 0.3, 0.3), 1),
+    "slow": slow, "jostled": jostled, "weak": weak,
 }  # fmt: skip
 
 
@@ -107,7 +151,8 @@ def stream(name: str) -> Iterator[ImuSample]:
     """One person's walk at one of the rates: a pause, a gap, a stamp out of order, and a lie from some moment on."""
     draw = Random(name)
     step_ns = NS_PER_S // draw.choice(RATES_HZ)
-    walk, from_s, pause_s = person(draw), draw.uniform(*FROM_S), draw.uniform(0.0, 30.0)
+    begins = FROM_S.get(name.partition(" ")[0], FROM_S[""])
+    walk, from_s, pause_s = person(draw), draw.uniform(*begins), draw.uniform(0.0, 30.0)
     gap_at, gap_ns = draw.randrange(100, 2000), draw.choice((0, 20, 27, 28, 30, 500, 1990, 3000)) * 1_000_000
     lie, then, t_ns = LIES[name], list[float](), NS_PER_S
     rest = walk(0.0)

@@ -450,10 +450,12 @@ def test_a_stamp_that_goes_back_by_a_step_is_passed_over_and_by_more_begins_anew
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, 1e200])
-def test_numbers_that_are_none_leave_nothing_behind(odd: float) -> None:
+@pytest.mark.parametrize("where", ["force", "rate", "both"])
+def test_numbers_that_are_none_leave_nothing_behind(odd: float, where: str) -> None:
     judge = Coherence("left_foot")
     feed(judge, [alive(k) for k in range(10)])
-    assert not any(feed(judge, [(odd, 0.0, odd, 0.0, 0.0, odd), alive(1)], S + 10 * 15 * MS)[:1])
+    force, rate = odd if where != "rate" else 0.0, odd if where != "force" else 0.0
+    assert not any(feed(judge, [(force, 0.0, force, 0.0, 0.0, rate), alive(1)], S + 10 * 15 * MS))
     moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED + 6)]
     assert any(feed(judge, moving, S + 12 * 15 * MS))
 
