@@ -172,6 +172,12 @@ def test_first_sample_counts_for_being_frozen() -> None:
     )
 
 
+def test_a_long_silence_is_told_in_full_milliseconds() -> None:
+    freshness = heard((0, 0))
+    assert freshness.silence(sample(250 * MS, 250 * MS)) == ""
+    assert freshness.silence(sample(2000 * S, 2000 * S)).startswith("left_foot was silent for 2000000 ms: ")
+
+
 @pytest.mark.parametrize("values", [(1e308, 1e308, 1e308), (-1e308, -1e308, 0.0)])
 def test_huge_numbers_are_numbers_though_their_sum_is_none(values: Vector3) -> None:
     freshness = Freshness(MAX_AGE)

@@ -9,6 +9,7 @@ when a mutant survives without an explanation, or an explanation has lost its mu
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import shutil
@@ -49,6 +50,7 @@ PARTS = {
         [f"tests/stimulation/test_plan{name}.py" for name in ("", "_due", "_early_end", "_parts")],
     ),
 }
+SURVIVED = 0  # the tests' exit code
 CHANGED_LINE = re.compile(r"^([-+])(?![-+]{2} )\s*(.*?)\s*$", re.MULTILINE)
 
 
@@ -80,6 +82,19 @@ def set_up(work: Path, part: str) -> None:
     changed, tests = PARTS[part]
     with (work / "pyproject.toml").open("a", encoding="utf-8") as settings:
         settings.write(f"only_mutate = {changed}\npytest_add_cli_args_test_selection = {tests}\n")
+
+
+def taken_up(scratch: Path) -> Path:
+    """The copy of an earlier run with the tests of now: only its survivors are run once more."""
+    work = scratch / "work"
+    for tests in (work / "tests", work / "mutants" / "tests"):
+        shutil.copytree(ROOT / "tests", tests, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
+    for path in (work / "mutants").rglob("*.meta"):
+        meta = json.loads(path.read_text(encoding="utf-8"))
+        codes = meta["exit_code_by_key"]
+        meta["exit_code_by_key"] = {name: None if code == SURVIVED else code for name, code in codes.items()}
+        path.write_text(json.dumps(meta), encoding="utf-8")
+    return work
 
 
 def mutmut(work: Path, *arguments: str, echo: bool = False) -> str:
@@ -149,10 +164,15 @@ def main() -> None:
     """Run, compare, write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, help="keep the scratch copy here instead of in a temporary folder")
+    parser.add_argument(
+        "--again", action="store_true", help="of the copies in --scratch only what survived, by the tests of now"
+    )
     parser.add_argument("--children", type=int, default=1, help="mutants at once")
     parser.add_argument("--write", action="store_true", help="write docs/mutants.md")
     parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS, help="these parts")
     options = parser.parse_args()
+    if options.again and not options.scratch:
+        parser.error("--again takes up what an earlier run left in --scratch")
     gate = {f"fes/gate/{path.name}" for path in (ROOT / "fes/gate").glob("*.py")} - {"fes/gate/__init__.py"}
     if left := gate - {file for changed, _ in PARTS.values() for file in changed}:
         parser.error(f"in no part: {left}")
@@ -161,8 +181,10 @@ def main() -> None:
     fates, alive = dict[str, str](), dict[Mutant, str]()
     with tempfile.TemporaryDirectory() as temporary:
         for part in options.only:
-            work = copied((options.scratch or Path(temporary)) / part)
-            set_up(work, part)
+            scratch = (options.scratch or Path(temporary)) / part
+            work = taken_up(scratch) if options.again else copied(scratch)
+            if not options.again:
+                set_up(work, part)
             mutmut(work, "run", "--max-children", str(options.children))
             found = results(work)
             alive |= {survivor(work, name): name for name, fate in found.items() if fate == "survived"}
