@@ -195,9 +195,9 @@ def test_answers_of_another_session_are_foreign() -> None:
     bus = ScriptedBus()
     port = opened(bus)
     port.send(COMMAND)
-    bus.add(status(0, SESSION + 1), status(0, SESSION - 1))
+    bus.add(status(0, SESSION + 1), status(0, SESSION - 1), status(0, SESSION + 1, Result.BAD_SESSION))
     assert port.poll(0) == []
-    assert port.foreign == 2
+    assert port.foreign == 3
     assert port.outstanding == 1
 
 

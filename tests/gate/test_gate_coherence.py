@@ -22,6 +22,7 @@ from fes.gate.coherence import (
     MORE_MPS2,
     MOST_SMOOTH_RAD,
     MOST_STEP_NS,
+    MOST_UNSEEN_AXIS_MPS2,
     MOST_UNTURNED,
     WALKS_RADPS,
     Coherence,
@@ -271,6 +272,52 @@ def test_smooth_turning_is_counted_up_to_a_bound() -> None:
     assert not any(said[:-3])
     jolts = [(1e-6 * k, 2.1 * (k // 50 % 2), G_MPS2, 0.3 * (k % 2), 1e-6 * k, rate) for k in range(200)]
     assert not any(feed(Coherence("right_shank"), jolts))
+
+
+@pytest.mark.parametrize("size_mps2", [G_MPS2, 2.4])
+@pytest.mark.parametrize("unseen", [0, 1, 2])
+def test_an_axis_that_feels_nothing_of_gravity_turning_into_it_is_counted(unseen: int, size_mps2: float) -> None:
+    """Gravity is along one axis, the turn about another; force along that one moves, as somebody's would."""
+    gravity, about = (unseen + 1) % 3, (unseen + 2) % 3
+    values, way_mps2, after = list[Six](), 0.0, 0
+    for k in range(90):
+        rate = 2.0 + 0.3 * (k // 10 % 2)
+        force, turn = [1e-6 * k] * 3, [1e-6 * k] * 3
+        force[gravity], force[about], turn[about] = size_mps2, 0.75 * (-1) ** k, rate
+        values.append((force[0], force[1], force[2], turn[0], turn[1], turn[2]))
+        if k > 1 and way_mps2 <= MOST_UNSEEN_AXIS_MPS2:  # the first begins, the second is the first mean
+            way_mps2 += G_MPS2 * 0.015 * rate * size_mps2 / math.hypot(size_mps2, 0.75)
+            after = k
+    said = feed(Coherence("left_foot"), values)
+    assert next(k for k, each in enumerate(said) if each) == after
+    assert f"accelerometer's {'xyz'[unseen]} axis does not feel it" in said[after]
+
+
+def test_turning_counts_as_smooth_through_what_is_no_jolt_and_anew_after_one() -> None:
+    rate, jolt_at = 4.0, 12
+    count = math.ceil(MOST_SMOOTH_RAD / (rate * 0.015))
+
+    def turning(change_mps2: float, every: int) -> list[str]:
+        """It turns about its own upright; force across it changes now and then, and once by a jolt."""
+        return feed(
+            Coherence("right_shank"),
+            [
+                (1e-6 * k, change_mps2 * (k // every % 2) + 2.5 * (k == jolt_at), G_MPS2, 0.3 * (k % 2), 1e-6 * k, rate)
+                for k in range(jolt_at + count + 3)
+            ],
+        )
+
+    shaken, calm = turning(1.5, 10), turning(0.0, 10)
+    for said in (shaken, calm):
+        assert [k for k, each in enumerate(said) if "dangle" in each] == [jolt_at + 1 + count]
+
+
+def test_gravity_at_a_slow_turn_is_not_judged() -> None:
+    """A slow swing comes down as evenly."""
+    assert any(
+        "is it scaled?" in each for each in feed(Coherence("left_foot"), [alive(k, 7.0, 0.2) for k in range(40)])
+    )
+    assert not any(feed(Coherence("left_foot"), [alive(k, 7.0, 0.4) for k in range(40)]))
 
 
 def test_gravity_at_a_long_rest() -> None:
@@ -566,11 +613,33 @@ def test_what_is_frozen_is_told_anew_after_as_long() -> None:
     assert frozen_at((0,), step_ns=33_333_333, count=12) == [4, 8, 12]
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_lives_by_itself_though_another_one_never_does(axis: int) -> None:
+    for lives, tells in ((51, False), (52, True)):
+        judge, told = Coherence("left_foot"), list[str]()
+        for k in range(lives + 12):
+            values = list(living(min(k, lives - 1), (0.0, 0.0, 20.0), (0.0, 0.0, 0.0)))
+            values[(axis + 1) % 3] = 5.0
+            values[(axis + 2) % 3] += 1e-6 * k
+            x, y, z, p, q, _ = values
+            told.append(
+                judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (x, y, z), (p, q, 1e-6 * k)))
+            )
+        assert any(f"{'xyz'[axis]} axis is frozen" in each for each in told) is tells
+
+
+@pytest.mark.parametrize("share", [1.0, 0.005])
+@pytest.mark.parametrize("spike", [0, 1, 2])
 @pytest.mark.parametrize(("at_mps2", "tells"), [(97.9, True), (98.0, False), (-97.9, True), (-98.0, False)])
-def test_near_full_scale_nothing_is_frozen(at_mps2: float, tells: bool) -> None:
+def test_near_full_scale_nothing_is_frozen(at_mps2: float, tells: bool, spike: int, share: float) -> None:
+    """Full scale is the greatest value along any axis."""
     judge, told = Coherence("left_foot"), list[str]()
     for k in range(90):
-        x, y, z, p, q, r = living(k, (1.0, 0.0, 9.0), (0.0, 0.0, 0.0))
-        x, y = (at_mps2, y) if k >= 60 else (x, 100.0 if k == 30 else y)
+        *force, p, q, r = living(k, (1.0, 0.0, 9.0), (0.0, 0.0, 0.0))
+        if k >= 60:
+            force[0] = at_mps2
+        if k == 30:
+            force[spike] = 100.0
+        x, y, z = (share * each for each in force)
         told.append(judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (x, y, z), (p, q, r))))
     assert any("x axis is frozen" in each for each in told) is tells

@@ -87,6 +87,7 @@ def set_up(work: Path, part: str) -> None:
 def taken_up(scratch: Path) -> Path:
     """The copy of an earlier run with the tests of now: only its survivors are run once more."""
     work = scratch / "work"
+    shutil.copy2(ROOT / "pyproject.toml", work / "pyproject.toml")
     for tests in (work / "tests", work / "mutants" / "tests"):
         shutil.copytree(ROOT / "tests", tests, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
     for path in (work / "mutants").rglob("*.meta"):
@@ -183,8 +184,7 @@ def main() -> None:
         for part in options.only:
             scratch = (options.scratch or Path(temporary)) / part
             work = taken_up(scratch) if options.again else copied(scratch)
-            if not options.again:
-                set_up(work, part)
+            set_up(work, part)
             mutmut(work, "run", "--max-children", str(options.children))
             found = results(work)
             alive |= {survivor(work, name): name for name, fate in found.items() if fate == "survived"}
