@@ -125,6 +125,10 @@ def _electrode(share: float) -> Callable[[VirtualPatient], None]:
     return lambda one: one.set_electrode_quality(share * one.settings.electrode_quality)
 
 
+def _spastic(share: float | None = None) -> Callable[[VirtualPatient], None]:
+    return lambda one: one.set_spasticity(one.settings.spasticity if share is None else share)
+
+
 def _belt(speed_mps: float) -> Callable[[VirtualPatient], None]:
     return lambda one: one.set_speed(speed_mps)
 
@@ -144,6 +148,7 @@ SCENARIOS = {
         "belt 0.4 → 1.0 m/s → stop → on", lambda settings: replace(settings, speed_mps=0.4),
         {15: _belt(1.0), 30: lambda one: one.stop()},
     ),
+    "spastic": Scenario("calf wholly spastic for four steps", acts={18: _spastic(1.0), 22: _spastic()}),
     "sensor+": Scenario("sensor turned by 20°", acts={}, turned_deg=20.0),
     "sensor-": Scenario("sensor turned by −20°", acts={}, turned_deg=-20.0),
     "dropouts": Scenario("2 % of the samples lost", dropouts=0.02),

@@ -17,12 +17,13 @@ def walk(
     after_contact_s: float = 0.1,
     frequency_hz: float = 40.0,
     before_contact_s: float = 0.0,
+    patient: VirtualPatient | None = None,
 ) -> tuple[VirtualPatient, list[ImuSample]]:
-    """Walk with a burst in every step of the affected foot: rectangular, 300 µs.
+    """Walk with a burst in every step of the affected foot: rectangular, 300 µs; ``patient``: instead of a new one.
 
     ``before_contact_s`` ends the burst that long before the usual contact instead (from the strides before).
     """
-    patient = VirtualPatient(settings)
+    patient = patient or VirtualPatient(settings)
     samples: list[ImuSample] = []
     plan: list[tuple[int, bool]] = []
     on, seen, next_ns, usual_ns = False, 0, 0, 0

@@ -227,6 +227,18 @@ def test_a_stumble_shortens_the_step() -> None:
     assert mean(caught) < mean(free) - 0.03
 
 
+def test_a_calf_that_turns_spastic_answers_with_spasms() -> None:
+    settings = replace(DROP, spasticity=0.0, spasm_radps=1.5)
+    turned, calm = VirtualPatient(settings), VirtualPatient(settings)
+    turned.set_spasticity(0.5)
+    counted = [
+        harm_of(affected(walk(settings, 25.0, 36.0, after_heel_off_s=0.25, patient=patient)[0])).spasms
+        for patient in (calm, turned)
+    ]
+    assert counted[0] == 0
+    assert counted[1] >= 5
+
+
 def test_an_electrode_that_comes_loose_and_a_muscle_that_tires() -> None:
     patient, _ = walk(DROP, 20.0, 22.0)
     assert patient.fitness > 0.9
@@ -235,7 +247,7 @@ def test_an_electrode_that_comes_loose_and_a_muscle_that_tires() -> None:
     loose, _ = walk(PatientSettings(seed=3, speed_mps=0.8, electrode_quality=0.4), 25.0, 22.0)
     assert max(s.peak_torque_nm for s in affected(loose)) < 0.5
     assert affected(loose)[0].charge_uc > 100.0  # it was delivered, and lost in the skin
-    for setter in (patient.set_fitness, patient.set_electrode_quality):
+    for setter in (patient.set_fitness, patient.set_electrode_quality, patient.set_spasticity):
         with pytest.raises(ValueError, match="from 0 to 1"):
             setter(1.5)
 

@@ -67,6 +67,14 @@ class Swing:
     )
 
 
+def calf_of(spasticity: float) -> dict[str, float]:
+    """The fields of a leg's record that spasticity (0–1) sets: stiffer and shorter (Lorentzen et al., 2010)."""
+    return {
+        "short_rad": 0.12 * spasticity, "stiff": 1.0 + 0.9 * spasticity, "damp": 0.50 + 0.25 * spasticity,
+        "spastic": 5.0 * spasticity, "spasm_nm": 12.0 * spasticity,
+    }  # fmt: skip
+
+
 def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
     """A leg's record with its fixed part filled in, standing."""
     leg: np.void = np.zeros(1, LEG)[0]
@@ -76,7 +84,6 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
     sole = normative.ANKLE_OF_HEIGHT * height + normative.SOLE_M
     ball, heel = 0.48 * length, -0.24 * length
     com = 0.19 * length
-    weak = settings.spasticity if affected else 0.0
     own = settings.voluntary_dorsiflexion if affected else 1.0
     fixed = {
         "thigh_m": normative.THIGH_OF_HEIGHT * height, "shank_m": normative.SHANK_OF_HEIGHT * height, "sole_m": sole,
@@ -84,9 +91,7 @@ def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
         "inertia": foot_kg * (com**2 + (0.5 * sole) ** 2 + (0.25 * length) ** 2),
         "moved_kg": foot_kg + 0.5 * normative.SHANK_OF_MASS * mass,
         "weight_n": 0.97 * mass * G_MPS2, "leg_k": 3000.0, "leg_d": 150.0,
-        # stiffer and shorter with spasticity (Lorentzen et al., 2010)
-        "short_rad": 0.12 * weak, "stiff": 1.0 + 0.9 * weak, "damp": 0.50 + 0.25 * weak,
-        "spastic": 5.0 * weak, "spasm_nm": 12.0 * weak, "spasm_radps": settings.spasm_radps, "own": own,
+        **calf_of(settings.spasticity if affected else 0.0), "spasm_radps": settings.spasm_radps, "own": own,
         "inverts": settings.inversion_share, "roll_k": settings.roll_stiffness_nm_per_rad,
         "sole": settings.shoe_stiffness, "strap_radps": 2.0 * math.pi * settings.strap_hz,
         "strap_damp": settings.strap_damping, "oblique": math.sin(math.radians(settings.toe_break_deg)),

@@ -19,6 +19,7 @@ from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample
 from fes.simulation.forward.dynamics import CALF, DORSIFLEXORS, EVERTORS, NO_EVENT, TRACE
 from fes.simulation.forward.integration import run
+from fes.simulation.forward.leg import calf_of
 from fes.simulation.forward.settings import STEP_NS, DeliveredPulse, PatientSettings
 from fes.simulation.forward.walker import FootEvent, VirtualStride, Walker
 from fes.simulation.sensor import ImuModel, Placement, draw_sensitivity, mounting
@@ -232,6 +233,12 @@ class VirtualPatient:
     def set_fitness(self, share: float) -> None:
         """The stimulated muscles have only this share (0–1) of its fresh force left: sudden fatigue."""
         self._walker.muscles["fit"] = _share("fitness", share)
+
+    def set_spasticity(self, share: float) -> None:
+        """From now on the affected calf is as spastic as this (0–1), as :attr:`PatientSettings.spasticity` has it."""
+        leg = self._walker.legs[self._walker.affected]
+        for name, value in calf_of(_share("spasticity", share)).items():
+            leg[name] = value
 
     # --- what is true of it -----------------------------------------------------------------------------
 
