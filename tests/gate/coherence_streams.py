@@ -106,12 +106,33 @@ def leaping(axis: int) -> Lie:
 
 
 def faint(force: float, rates: tuple[float, float, float], axis: int) -> Lie:
-    """Nobody walks: forces about gravity and rates of these sizes, and one axis that lies still."""
+    """Nobody walks: forces about gravity and rates of these sizes; after some seconds one axis lies still."""
     sizes = (force, force, force, *rates)
-    return lambda now, then, draw: [
-        G_MPS2 * (k == 2) + (0.01 * draw.random() if k == axis else size * draw.uniform(-1.0, 1.0))
-        for k, size in enumerate(sizes)
-    ]
+
+    def values(now: Values, then: Values, draw: Random) -> Values:
+        still = lies_by_now(then)
+        return [
+            G_MPS2 * (k == 2) + (0.01 * draw.random() if still and k == axis else size * draw.uniform(-1.0, 1.0))
+            for k, size in enumerate(sizes)
+        ]
+
+    return values
+
+
+def hardly(axis: int, share: float) -> Lie:
+    """An axis that moves by a small share of what it should, and after some seconds lies still."""
+
+    def values(now: Values, then: Values, draw: Random) -> Values:
+        still = lies_by_now(then)
+        return [(1e-3 * draw.random() if still else share * each) if k == axis else each for k, each in enumerate(now)]
+
+    return values
+
+
+def lies_by_now(then: Values) -> bool:
+    """Counts the samples of a lie that begins later, by what it may keep."""
+    then.append(0.0)
+    return len(then) > 800
 
 
 def jostled(now: Values, then: Values, draw: Random) -> Values:
@@ -143,6 +164,8 @@ LIES: dict[str, Lie] = {
     **{f"leaping, axis {k} still": leaping(k) for k in range(6)},
     "always faint in force": faint(1.5, (6.0, 6.0, 6.0), 4), "always faint in rate": faint(9.0, (0.3, 0.3, 0.3), 1),
     "always faint but one": faint(9.0, (6.0, 0.3, 0.3), 1),
+    "always faint but gyroscope": faint(1.5, (6.0, 6.0, 6.0), 0),
+    **{f"always hardly {k}": hardly(k, 0.03 if k < 3 else 0.02) for k in range(6)},
     "slow": slow, "jostled": jostled, "weak": weak,
 }  # fmt: skip
 
@@ -163,7 +186,7 @@ def stream(name: str) -> Iterator[ImuSample]:
         if pause_s < t_s < pause_s + 2.0:
             now = [each + 1e-3 * draw.random() for each in rest]
         if t_s >= from_s:
-            then = then or now
+            then = then or list(now)
             now = lie(now, then, draw)
         x, y, z, p, q, r = now
         own_ns = t_ns - 2 * step_ns if k % 701 == 700 else t_ns

@@ -503,8 +503,9 @@ def test_numbers_that_are_none_leave_nothing_behind(odd: float, where: str) -> N
     feed(judge, [alive(k) for k in range(10)])
     force, rate = odd if where != "rate" else 0.0, odd if where != "force" else 0.0
     assert not any(feed(judge, [(force, 0.0, force, 0.0, 0.0, rate), alive(1)], S + 10 * 15 * MS))
+    assert not any(feed(judge, [alive(k) for k in range(300)], S + 12 * 15 * MS))
     moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED + 6)]
-    assert any(feed(judge, moving, S + 12 * 15 * MS))
+    assert any(feed(judge, moving, S + 312 * 15 * MS))
 
 
 def test_no_force_at_all_is_no_direction() -> None:
