@@ -110,3 +110,22 @@ def test_pulses_that_become_narrower_than_a_step_end_in_mid_burst() -> None:
     assert plan.requests(0, 1.0)[0].on
     assert plan.requests(60 * MS, 1.0)[0].on
     assert [plan.due(t_ms * MS, 1.0) for t_ms in (60, 99, 101, 149, 151)] == [False, False, True, True, False]
+
+
+def test_a_burst_whose_first_pulses_are_too_narrow_is_due_when_they_widen() -> None:
+    channel = make_channel()
+    plan = StimulationPlan((channel,))
+    late = (0.4, 0.4, *(200.0,) * (BINS - 2))
+    plan.set_parameters(0, replace(BurstParameters.for_channel(channel), widths_us=late))
+    plan.requests(0, 1.0)
+    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    assert not plan.requests(0, 1.0)[0].on
+    assert [plan.due(t_ms * MS, 1.0) for t_ms in (50, 99, 101)] == [False, False, True]
+
+
+def test_a_channel_of_one_step_is_on_from_its_first_request() -> None:
+    plan = StimulationPlan((make_channel(current_ma=2.0),), current_step_ma=2.0)
+    plan.requests(0, 1.0)
+    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    assert plan.due(0, 1.0)
+    assert [plan.requests(t_ms * MS, 1.0)[0].current_ma for t_ms in (0, 50, 100)] == [2.0, 2.0, 2.0]

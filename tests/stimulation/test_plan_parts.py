@@ -21,6 +21,11 @@ def envelope(**changes: int) -> Envelope:
     return Envelope(t_start_ns=1000, parameters=BurstParameters(20.0, 0.0, 0.0, (300.0,)), frequency_hz=40.0, **plain)
 
 
+def test_before_its_start_a_burst_has_its_first_width() -> None:
+    parameters = BurstParameters(20.0, 0.0, 0.0, (100.0, 200.0, 300.0))
+    assert [parameters.width_us(t_s) for t_s in (-3 * BIN_S, -0.5 * BIN_S, 0.0, BIN_S)] == [100.0, 100.0, 100.0, 200.0]
+
+
 def test_rise_begins_at_nothing() -> None:
     assert envelope().level_ma(999) == envelope().level_ma(1000) == 0.0
     assert envelope().level_ma(1001) == pytest.approx(20.0 / RISE)
@@ -169,6 +174,27 @@ def test_antagonists_that_are_due_at_the_same_moment_do_not_start_together() -> 
         requests = bench.plan.requests(at_ms * MS, 1.0)
         assert not all(request.on for request in requests)
     assert requests[0].on
+
+
+def test_an_antagonist_waits_for_a_burst_that_has_begun_with_pulses_too_narrow_for_the_device() -> None:
+    bench = Bench(make_channel(1), make_channel(0, never_with=[1]))
+    own = BurstParameters.for_channel(make_channel())
+    bench.plan.set_parameters(1, replace(own, widths_us=(0.4, 0.4, 300.0)))
+    bench.enter(20, STANCE, PRE_SWING, Transition.T1)
+    assert [[one.on for one in bench.plan.requests(at_ms * MS, 1.0)] for at_ms in (20, 60, 130)] == [
+        [False, False], [False, False], [True, False],
+    ]  # fmt: skip
+
+
+def test_an_antagonist_waits_for_one_whose_end_was_not_sent_yet() -> None:
+    bench = Bench(make_channel(0, never_with=[1]), make_channel(1))
+    bench.plan.start(1, 20 * MS, 500 * MS, adopt=False)
+    bench.plan.requests(120 * MS, 1.0)
+    bench.plan.cancel()
+    bench.plan.start(0, 130 * MS, 500 * MS, adopt=False)
+    assert [[one.on for one in bench.plan.requests(at_ms * MS, 1.0)] for at_ms in (130, 140)] == [
+        [False, False], [True, False],
+    ]  # fmt: skip
 
 
 # --- parameters that change from burst to burst -----------------------------------------------------------------
