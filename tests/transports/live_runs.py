@@ -213,6 +213,7 @@ class LiveRun:
         self.status: Status | None = None
         self.answers: list[dict[str, object]] = []
         self._record: RecordReader | None = None
+        self._recorded: Stimulator | None = None  # whose record that is: a test may put another one in its place
         self._entries: list[RecordEntry] = []
         self.off_ns = 0  # when the output went off, as :meth:`off_after_ms` found it
 
@@ -282,10 +283,10 @@ class LiveRun:
     # --- the stimulator's own record is the judge ---------------------------------------------------------
 
     def entries(self) -> list[RecordEntry]:
-        """Of channel 0, all so far; only what is new is read, for a long run is asked often."""
-        if self._record is None:
-            assert self.stimulator.record is not None
-            self._record = RecordReader(self.stimulator.record)
+        """Of channel 0 of the device there now, all so far; only what is new is read, for a long run is asked often."""
+        assert self.stimulator.record is not None
+        if self._record is None or self._recorded is not self.stimulator:
+            self._record, self._recorded, self._entries = RecordReader(self.stimulator.record), self.stimulator, []
         self._entries += [entry for entry in self._record.new_entries() if entry.channel == 0]
         return self._entries
 
