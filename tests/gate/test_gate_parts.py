@@ -518,6 +518,8 @@ def test_a_step_out_of_a_shake_is_a_contact_with_the_ground() -> None:
     assert first(told([40.0] * 4 + [32.0] + [5.0] * 20)) == 13, "8 m/s² before it is no shake yet"
     assert first(told([40.0] * 4 + [31.9] + [5.0] * 20)) is None
     assert first(told([40.0, 5.0] + [5.0] * 20)) == 9, "with one sample before it nothing is known of a shake"
+    assert first(told([8.0] * 4 + [16.0] + [70.0] * 20)) == 13
+    assert first(told([7.9] * 4 + [16.0] + [70.0] * 20)) is None
 
 
 def test_the_range_is_the_sessions() -> None:
