@@ -30,8 +30,8 @@ STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words i
 STILL: Final = "still going back"
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
     "skip": (" skipped: ",),
-    "identified": ("identified: ",),
     "fault": ("something has changed that stimulation did not",),
+    "identified": ("identified: ",),
     "suggestion": ("suggested: ",),
     "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
     "frozen": ("tuning is frozen", "tuning goes on"),

@@ -193,8 +193,9 @@ def test_a_foot_that_stopped_answering_is_a_warning() -> None:
         assert "No fault found" not in render_report(record)
 
 
-def test_an_electrode_that_slipped_is_a_warning_that_says_when() -> None:
-    why = "stride 5: something has changed that stimulation did not: most likely the electrodes; look at it"
+@pytest.mark.parametrize("more", ["", ". identified: threshold 14 ± 3 mA"])
+def test_an_electrode_that_slipped_is_a_warning_that_says_when(more: str) -> None:
+    why = f"stride 5: something has changed that stimulation did not: most likely the electrodes; look at it{more}"
     record = replace(make.walk(6), notes=[Note(make.at(8.0), "warning", "tuning", f"channel 0: {why}")])
     assert f"TA left: tuning found a fault at 8.0 s: {why}." in texts(summarise(record), "warning")
     raised = "toe clearance 9 mm (target 20–50) in this stride, more is needed: current 28.0 → 30.0 mA"

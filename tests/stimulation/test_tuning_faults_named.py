@@ -120,14 +120,18 @@ def test_nothing_is_said_before_the_foot_is_known_nor_of_its_roll() -> None:
 # --- what the tuner does about it ----------------------------------------------------------------------------
 
 
-def slips(seed: int, quality: float, method: str = "run_to_run") -> tuple[list[TuningReport], list[float]]:
-    """Thirty good strides, then the electrode slips; the reports and drives since."""
+def slips(
+    seed: int, quality: float, method: str = "run_to_run", *, frozen: bool = False
+) -> tuple[list[TuningReport], list[float]]:
+    """Thirty good strides, then the electrode slips, the tuning frozen by then or not; the reports and drives since."""
     plant, random = Plant(noise_m=0.0015, seed=seed), Random(seed)
     tuner = Tuner(channel(tuning(method=method, pitch_at_contact_deg={"low": 4.0, "high": 25.0})))
     reports, drives = [], []
     for number in range(50):
         now = tuner.parameters
         share = quality if number >= 30 else 1.0
+        if frozen and number == 29:
+            tuner.freeze(number)
         clearance_m = plant.clearance_m(now, share)
         pitch_deg = 400.0 * (clearance_m - 0.005) + random.gauss(0.0, 0.4)
         report = tuner.observe(number, stride(number, clearance_m, pitch_deg), charge_of(now), 1.0)
@@ -149,6 +153,13 @@ def test_an_electrode_that_slips_is_named_within_five_strides_and_nothing_is_low
     assert f"something has changed that stimulation did not: most likely {ELECTRODE}; look at it" in faults[0].text
     assert drives[-1] > drives[0]
     assert not any(report.kind == "roll_back" for report in reports)
+
+
+def test_what_slips_is_named_though_the_tuning_is_frozen() -> None:
+    reports, drives = slips(0, 0.75, frozen=True)
+    (named,) = [report for report in reports if "something has changed" in report.text]
+    assert (named.kind, named.t_ns < 5) == ("fault", True)
+    assert len(set(drives)) == 1
 
 
 def test_for_six_strides_after_a_fault_nothing_is_lowered_though_less_would_do() -> None:

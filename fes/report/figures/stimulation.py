@@ -141,17 +141,24 @@ def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[
         caption = f"As measured in each stride; the band is the tuning's target.{_faults(faults)}"
         figures.append(plot.figure(f"Toe clearance and target, {channel.name}", caption))
     figures += _pitch_at_contact(data, channel, sensor, faults)
-    own = [[item.peak_current_ma for item in row.stimulation if item.channel == channel.number] for row in rows]
-    peak_ma = np.array([max(each, default=np.nan) for each in own])
-    if np.isfinite(peak_ma).any():
-        plot = Plot("peak current per stride", "time (s)", "peak current (mA)", x_range, padded([peak_ma], zero=True))
-        plot.line(start_s, peak_ma, channel_color(channel.number), width=2.0)
+    learns = channel.tuning.method == "learning"  # it moves the pulses' widths: their charge shows what it set
+    own = [[item for item in row.stimulation if item.channel == channel.number] for row in rows]
+    if learns:
+        given, what, unit = [sum(item.charge_uc for item in each) if each else np.nan for each in own], "charge", "µC"
+    else:
+        given = [max((item.peak_current_ma for item in each), default=np.nan) for each in own]
+        what, unit = "peak current", "mA"
+    level = np.array(given)
+    if np.isfinite(level).any():
+        plot = Plot(f"{what} per stride", "time (s)", f"{what} ({unit})", x_range, padded([level], zero=True))
+        plot.line(start_s, level, channel_color(channel.number), width=2.0)
         at_s = np.array([row.time_s for row in changes])
-        level_ma = np.interp(at_s, start_s[np.isfinite(peak_ma)], peak_ma[np.isfinite(peak_ma)])
-        plot.points(at_s, level_ma, CHANGE_COLOR, [row.text for row in changes])
+        marked = np.interp(at_s, start_s[np.isfinite(level)], level[np.isfinite(level)])
+        plot.points(at_s, marked, CHANGE_COLOR, [row.text for row in changes])
         for row in faults:
             plot.upright(row.time_s, CHANGE_COLOR, "fault")
-        caption = f"Greatest current of each stride; marked: {len(changes)} changes, with their reasons to hover over."
+        shown = "Charge" if learns else "Greatest current"
+        caption = f"{shown} of each stride; marked: {len(changes)} changes, with their reasons to hover over."
         caption += _faults(faults)
         figures.append(plot.figure(f"What the tuning set, {channel.name}", caption))
     return figures

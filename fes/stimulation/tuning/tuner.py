@@ -249,6 +249,14 @@ class Tuner:
             self.memory.forget()
         self.model.add(reading, drives, others_changed)
         self._learn_delay(stride, intensity)
+        report = self._on_reading(t_ns, stride, reading, drives, zones, intensity, other_speed=other_speed)
+        return self._with_fault(t_ns, stride, fault, report) if fault else report
+
+    def _on_reading(
+        self, t_ns: int, stride: StrideResult, reading: Reading, drives: Mapping[str, float], zones: Zones | None,
+        intensity: float, *, other_speed: bool,
+    ) -> TuningReport | None:  # fmt: skip
+        """What follows from a stride that the response has taken in."""
         if why := self._set_aside(reading):
             return self._report(t_ns, "hint", f"stride {stride.number}: {why}")
         reading = reading.without(self._aside)
@@ -272,8 +280,7 @@ class Tuner:
         if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
             return report
         known = self.memory.remembered() if other_speed else None
-        report = self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
-        return self._with_fault(t_ns, stride, fault, report) if fault else report
+        return self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
 
     def _on_bare(self, reading: Reading | str) -> None:
         """A stride without stimulation changes nothing, but shows the level that stimulation starts from."""
@@ -319,7 +326,7 @@ class Tuner:
         text = f"stride {stride.number}: something has changed that stimulation did not: most likely {fault}"
         if change is None:
             return self._report(t_ns, "fault", f"{text}; look at it")
-        if change.kind != "change":
+        if change.kind not in ("change", "identified", "hint"):
             return replace(change, text=f"{change.text}; {text}")
         return replace(change, kind="fault", text=f"{text}; look at it. {change.text}")
 
