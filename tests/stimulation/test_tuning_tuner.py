@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -435,6 +436,29 @@ def test_strides_out_of_order_or_told_twice_are_skipped_and_a_clock_set_back_cos
         report = tuner.observe(number, stride(number, 0.02), charge_of(tuner.parameters), 1.0)
         told.append(report is not None and "no newer than the stride before" in report.text)
     assert told == [False, False, True, True, False, False]
+
+
+@pytest.mark.parametrize("incline", [0.08, None])
+def test_what_was_learnt_stays_with_its_ground(incline: float | None) -> None:
+    plant = Plant(baseline_m=-0.04, noise_m=0.0)
+    tuner = walk(plant, 20).tuner
+    learnt = tuner.parameters
+    assert learnt.current_ma > tuner.start.current_ma + 4.0
+    tuner.ground_changed(20 * SECOND, incline)
+    level = plant.clearance_m(learnt)
+    went = []
+    for number in range(21, 30):
+        tuner.observe(number * SECOND, stride(number, 0.035), charge_of(tuner.parameters), 1.0)
+        went.append(tuner.parameters.current_ma)
+    assert tuner.start.current_ma in went, "and from there it learns this ground"
+    assert all(a - b <= tuner.tuning.max_change_ma + 1e-9 for a, b in itertools.pairwise([learnt.current_ma, *went]))
+    tuner.ground_changed(30 * SECOND, 0.0)
+    back = []
+    for number in range(31, 42):
+        tuner.observe(number * SECOND, stride(number, level), charge_of(tuner.parameters), 1.0)
+        back.append(tuner.parameters.current_ma)
+    assert learnt.current_ma in back
+    assert all(b - a <= tuner.tuning.max_change_ma + 1e-9 for a, b in itertools.pairwise(back))
 
 
 @pytest.mark.parametrize("act", ["roll_back", "freeze"])

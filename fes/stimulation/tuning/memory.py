@@ -1,8 +1,9 @@
 """What was learnt, by walking speed: a stride at a speed once walked begins with what was right there.
 
 Kept are the settings under which strides lay within all targets, by speed in steps of ``STEP_MPS``; between two known
-speeds the strength is interpolated, beyond them the nearest one's counts as far as ``NEAR_MPS``. The ground is the
-session's, and strides on stairs and slopes that it does not say are never kept, nor do they walk with what was learnt.
+speeds the strength is interpolated, beyond them the nearest one's counts as far as ``NEAR_MPS``. Each ground that a
+person has named has a memory of its own; strides on stairs and slopes that nobody named are never kept, nor do they
+walk with what was learnt.
 """
 
 from collections import deque

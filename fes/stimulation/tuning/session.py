@@ -29,7 +29,7 @@ class Tuners:
                 channel,
                 session.stimulation.min_stride_length_m,
                 session.stimulation.intensity,
-                free_ground=session.ground.free,
+                incline=None if session.ground.free else session.ground.incline,
                 geometry=session.geometry.get(channel.foot),
             )
             for channel in session.channels
@@ -51,8 +51,9 @@ class Tuners:
         """
         if act.action not in TUNING_ACTS:
             if act.action in GROUND_ACTS:
+                incline = None if act.action is OperatorAction.FREE_GROUND else act.value
                 for tuner in self.tuners.values():
-                    tuner.ground_changed(act.t_ns, free=act.action is OperatorAction.FREE_GROUND)
+                    tuner.ground_changed(act.t_ns, incline)
             elif act.action is not OperatorAction.SET_BELT_SPEED:
                 for tuner in self.tuners.values():
                     tuner.operator_changed(act.t_ns)

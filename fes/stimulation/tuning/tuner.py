@@ -109,7 +109,7 @@ class Tuner:
     """Follows one channel's foot. ``parameters`` are what the next burst is to have.
 
     ``usual_intensity`` is the session's, at which its settings are meant; below it nothing gets stronger than they are.
-    Strides shorter than ``min_stride_length_m`` are no walking. ``free_ground``: nothing is known of it.
+    Strides shorter than ``min_stride_length_m`` are no walking. ``incline``: of the ground; None: unknown.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Tuner:
         min_stride_length_m: float = 0.15,
         usual_intensity: float = 1.0,
         *,
-        free_ground: bool = False,
+        incline: float | None = 0.0,
         geometry: FootGeometry | None = None,
     ) -> None:
         self.channel = channel
@@ -133,7 +133,7 @@ class Tuner:
         self._usual_intensity = usual_intensity
         self._most = strongest_drive(channel, self.tuning)
         self._shape = BurstShape(channel, self.tuning, self._most)
-        self._filter = StrideFilter(self.tuning, min_stride_length_m, free_ground=free_ground)
+        self._filter = StrideFilter(self.tuning, min_stride_length_m, free_ground=incline is None)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
         self._answers = AnswerMonitor()
@@ -141,7 +141,9 @@ class Tuner:
         self.memory = SpeedMemory()
         self._spared = 0  # strides in which nothing is lowered, for a fault was found
         self._returning: BurstParameters | None = None
-        self._even: BurstParameters | None = None  # what was learnt on even ground, while it is put away
+        self._even: BurstParameters | None = None  # what was learnt on this ground, while it is put away
+        self._ground = incline
+        self._by_ground: dict[float | None, tuple[BurstParameters, SpeedMemory]] = {}  # what was right on others
         self._climb: BurstParameters | None = None  # the weakest settings since it was last lowered
         self._lost = False  # the foot did not answer
         self._roll_backs = 0
@@ -162,14 +164,27 @@ class Tuner:
         """The intensity was set, or stimulation switched: strides that saw it teach nothing."""
         self._filter.operator_changed(t_ns)
 
-    def ground_changed(self, t_ns: int, *, free: bool) -> None:
-        """Other ground is walked on: strides that saw the change teach nothing. ``free``: nothing is known of it."""
-        self._filter.ground_changed(t_ns, free=free)
+    def ground_changed(self, t_ns: int, incline: float | None) -> None:
+        """Other ground is walked on (None: nothing is known of it): strides that saw the change teach nothing.
+
+        What was learnt stays with the ground that it was learnt on. From the next stride on, step by step, what was
+        right on this one before is in force, or else the session's own settings. ``incline`` is rise over run.
+        """
+        self._filter.ground_changed(t_ns, free=incline is None)
+        if incline == self._ground:
+            return
+        self._by_ground[self._ground] = self._even or self.parameters, self.memory
+        known = self._by_ground.get(incline, (self.start, SpeedMemory()))
+        self._ground, self.memory = incline, known[1]
+        if self.tuning.mode == "act" and not self.frozen:
+            self._even, self._climb = known[0], None
+            self.model.shake()
 
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending = why, None
         self._returning = self._even = None  # what was in force before does not come back by itself
+        self._by_ground.clear()
         self._answers.forget()
         self.memory.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
