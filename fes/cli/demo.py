@@ -155,11 +155,13 @@ def _story(result: dict[str, Any]) -> str:
     story = f"At first the toe dragged ({bad} of 8 strides, {count_of(first['stumbled'], 'stumble')}). "
     story += f"Stimulation tuned itself; from stride {cleared} on it cleared. " if cleared else "It was not cleared. "
     if recovered is not None:
-        story += f"After the electrode slipped it took {recovered} strides to clear again. "
+        story += f"After the electrode slipped it took {count_of(recovered, 'stride')} to clear again. "
     return story + ("No stride of the last ten dragged." if not still else f"{still} of the last ten dragged.")
 
 
 def _show(result: dict[str, Any], *, as_json: bool) -> None:
+    from fes.report.text import count_of
+
     if as_json:
         click.echo(json.dumps(result, indent=2))
         return
@@ -177,9 +179,10 @@ def _show(result: dict[str, Any], *, as_json: bool) -> None:
     click.echo(_story(result))
     harm = result["harm"]
     click.echo(
-        f"Harm in {harm['strides']} strides: {harm['stumbles']} stumbles, {harm['drags']} drags, "
-        f"{harm['early_bursts']} bursts against the push-off ({harm['push_off_lost']:.0%} of its work lost), "
-        f"{harm['inverted_contacts']} landings inverted, {harm['spasms']} spasms, "
+        f"Harm in {harm['strides']} strides: {count_of(harm['stumbles'], 'stumble')}, "
+        f"{count_of(harm['drags'], 'drag')}, {count_of(harm['early_bursts'], 'burst')} against the push-off "
+        f"({harm['push_off_lost']:.0%} of its work lost), "
+        f"{count_of(harm['inverted_contacts'], 'landing')} inverted, {count_of(harm['spasms'], 'spasm')}, "
         f"co-contraction {harm['co_contraction_nms']:.1f} N·m·s and {harm['charge_uc']:.0f} µC a stride."
     )
     if process := result.get("patient_process"):
