@@ -22,7 +22,9 @@ log = logging.getLogger(__name__)
 
 def read_notebook(text: str) -> Any:
     """A notebook of docs/notebooks, without the line that is for the tests."""
-    return jupytext.reads(NEEDS.sub("", text), fmt="py:percent")
+    notebook = jupytext.reads(NEEDS.sub("", text), fmt="py:percent")
+    notebook.metadata["language_info"] = {"name": "python", "pygments_lexer": "python3"}  # also where it is not run
+    return notebook
 
 
 def not_run() -> list[str]:
