@@ -23,7 +23,12 @@ def envelope(**changes: int) -> Envelope:
 
 def test_before_its_start_a_burst_has_its_first_width() -> None:
     parameters = BurstParameters(20.0, 0.0, 0.0, (100.0, 200.0, 300.0))
-    assert [parameters.width_us(t_s) for t_s in (-2.0 * BIN_S, -0.5 * BIN_S, 0.0, BIN_S)] == [100.0, 100.0, 100.0, 200.0]
+    assert [parameters.width_us(t_s) for t_s in (-2.0 * BIN_S, -0.5 * BIN_S, 0.0, BIN_S)] == [
+        100.0,
+        100.0,
+        100.0,
+        200.0,
+    ]
 
 
 def test_rise_begins_at_nothing() -> None:
