@@ -173,7 +173,7 @@ class Tuner:
         self._filter.ground_changed(t_ns, free=incline is None)
         if incline == self._ground:
             return
-        self._by_ground[self._ground] = self._even or self.parameters, self.memory
+        self._by_ground[self._ground] = self._returning or self._even or self.parameters, self.memory
         known = self._by_ground.get(incline, (self.start, SpeedMemory()))
         self._ground, self.memory = incline, known[1]
         if self.tuning.mode == "act" and not self.frozen:
@@ -262,6 +262,7 @@ class Tuner:
             self._climb = None
         if fault:
             self.memory.forget()
+            self._by_ground.clear()
         self.model.add(reading, drives, others_changed)
         self._learn_delay(stride, intensity)
         report = self._on_reading(t_ns, stride, reading, drives, zones, intensity, other_speed=other_speed)
