@@ -140,6 +140,7 @@ SCENARIOS = {
     "slow": Scenario("Wang's five walks, 0.21–0.35 m/s", _slow),
     "tires": Scenario("strength falls to 60 % in 20 minutes", strides=900, fades_to=0.6),
     "half": Scenario("electrode to 50 % and back", acts={18: _electrode(0.5), 30: _electrode(1.0)}, fault=True),
+    "off": Scenario("electrode comes off", acts={FAULT_STRIDE: _electrode(0.0)}, fault=True),
     "weak": Scenario("muscle's gain × 0.4", partial(_muscle, torque=0.4)),
     "strong": Scenario("muscle's gain × 2.5", partial(_muscle, torque=2.5)),
     "late": Scenario("muscle's delay × 1.6", partial(_muscle, delay=1.6)),

@@ -297,3 +297,69 @@ def test_a_foot_that_is_lifted_by_all_the_bound_allows_is_not_given_up(lifted_by
         model.add(reading, drives)
         said.add(monitor.stride(reading, drives, own, model, spent=number >= 3))
     assert (NO_ANSWER in said) == (lifted_by < 0.25)
+
+
+@pytest.mark.parametrize("reached", [2, 3])
+def test_a_foot_that_has_reached_its_targets_answers_though_it_tires_at_the_bound(reached: int) -> None:
+    monitor, model, said = AnswerMonitor(), Doubts(), set()
+    own = BurstParameters(30.0, 0.0, 0.0, (300.0,))
+    for number in range(16):
+        level = 0.1 if number < reached else -0.05
+        reading = Reading((Measure("toe", 0.02 + 0.03 * level, Band(low=0.02, high=0.05), 1e3, "mm"),))
+        model.add(reading, {"toe": 1.0})
+        said.add(monitor.stride(reading, {"toe": 1.0}, own, model, spent=True))
+    assert (NO_ANSWER in said) == (reached < 3)
+
+
+def fallen(slope: float, levels: list[float], drives: list[float]) -> list[str]:
+    """What is said of a foot that answered by this slope until a fault in the first two of these strides."""
+    monitor, model = AnswerMonitor(), ResponseModel()
+    own, band = BurstParameters.for_channel(channel()), Band(**PITCH)
+
+    def reading(at: float) -> Reading:
+        return Reading((Measure(TOE_UP, PITCH["low"] + at * (PITCH["high"] - PITCH["low"]), band, 1.0, "°"),))
+
+    for drive in (0.2, 0.3, 0.4, 0.5, 0.6, 0.55, 0.6, 0.5, 0.6):
+        level = -0.9 + slope * drive
+        model.add(reading(level), {TOE_UP: drive})
+        monitor.stride(reading(level), {TOE_UP: drive}, own, model, spent=False)
+    seen = [(reading(level), {TOE_UP: drive}) for level, drive in zip(levels, drives, strict=True)]
+    monitor.fault(model, seen[:2])
+    return [monitor.stride(one, at, own, model, spent=False) for one, at in seen[1:]]
+
+
+@pytest.mark.parametrize(
+    ("levels", "drives", "lost"),
+    [
+        ([-0.3] * 6, [0.5, 0.5, 0.6, 0.7, 0.75, 0.8], True),
+        ([-0.3] * 6, [0.5, 0.5, 0.55, 0.6, 0.6, 0.6], False),  # too little was tried
+        ([-0.3, -0.3, -0.25, -0.2, -0.15, -0.1], [0.5, 0.5, 0.6, 0.7, 0.75, 0.8], False),  # a slip: it answers less
+    ],
+)
+def test_after_a_fault_it_is_given_up_once_more_does_nothing(
+    levels: list[float], drives: list[float], lost: bool
+) -> None:
+    assert (NO_ANSWER in fallen(2.0, levels, drives)) == lost
+
+
+@pytest.mark.parametrize("to", [-0.6, 0.05])
+@pytest.mark.parametrize("spent", [False, True])
+def test_a_foot_far_below_where_it_was_is_lost_though_nothing_is_known_of_it_without_stimulation(
+    to: float, spent: bool
+) -> None:
+    answering, model, own = AnswerMonitor(), ResponseModel(), BurstParameters.for_channel(channel())
+    bands = {TOE_UP: Band(**PITCH), "toe": Band(low=0.02, high=0.05)}
+
+    def reading(pitch: float, toe: float) -> Reading:
+        levels = {TOE_UP: pitch, "toe": toe}
+        measures = [
+            Measure(name, band.low + levels[name] * (band.high - band.low), band, 1.0, "")
+            for name, band in bands.items()
+        ]
+        return Reading(tuple(sorted(measures, key=lambda measure: measure.level)))
+
+    drives = dict.fromkeys(bands, 0.7)
+    for _ in range(6):
+        assert answering.stride(reading(0.2, 0.3), drives, own, model, spent=False) == ""
+    said = {answering.stride(reading(to, -0.4), drives, own, model, spent=spent) for _ in range(4)}
+    assert (LIKE_NONE in said) == (to < 0.0 and spent)

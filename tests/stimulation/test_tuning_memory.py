@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from tuning_plant import channel, charge_of, stride, tuning
 
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.memory import NEAR_MPS, SpeedMemory
 from fes.stimulation.tuning.tuner import Tuner, TuningReport
 
@@ -16,14 +19,26 @@ def walked(*kept: tuple[float, float]) -> SpeedMemory:
         at(memory, speed_mps)
         for _ in range(10):
             memory.changed(speed_mps)
-            memory.keep(drive)
+            memory.keep(settings(drive))
     return memory
 
 
+def settings(drive: float) -> BurstParameters:
+    """Every number of theirs follows the drive."""
+    return BurstParameters(20.0 * drive, 0.1 * drive, 0.05 * drive, (100.0 * drive, 200.0 * drive))
+
+
 def at(memory: SpeedMemory, speed_mps: float) -> float | None:
+    """The drive of what is remembered there."""
     for _ in range(3):
         memory.changed(speed_mps)
-    return memory.remembered()
+    found = memory.remembered()
+    if found is None:
+        return None
+    drive = found.current_ma / 20.0
+    assert (found.start_delay_s, found.extension_s) == (pytest.approx(0.1 * drive), pytest.approx(0.05 * drive))
+    assert found.widths_us == pytest.approx((100.0 * drive, 200.0 * drive))
+    return drive
 
 
 def test_another_speed_is_one_that_is_walked_for_some_strides() -> None:
@@ -33,6 +48,11 @@ def test_another_speed_is_one_that_is_walked_for_some_strides() -> None:
     assert not memory.changed(0.8)
     assert [memory.changed(1.2) for _ in range(4)].count(True) == 1
     assert [memory.changed(1.25) for _ in range(4)] == [False] * 4  # no other speed yet
+    slow = SpeedMemory()
+    assert [slow.changed(0.25) for _ in range(4)] == [False] * 4
+    assert [slow.changed(0.33) for _ in range(4)] == [
+        False
+    ] * 4  # a third more, but strides of who walks slowly differ so
 
 
 def test_what_was_right_at_a_speed_is_known_there_again() -> None:
@@ -94,6 +114,27 @@ def test_back_at_a_speed_it_goes_on_with_what_was_right_there() -> None:
     walk.walk(5, 0.6)
     assert abs(walk.current_ma - slow_ma) <= 3.0
     assert any("at 0.6 m/s this was right before" in report.text for report in walk.reports)
+
+
+@pytest.mark.parametrize("method", ["run_to_run", "learning"])
+def test_at_another_speed_the_burst_is_even_and_begins_as_the_session_says(method: str) -> None:
+    """What was learnt of its shape holds at the old speed; its strength does not rise."""
+    tuner = Tuner(channel(tuning(method=method, timing=True)))
+    for number in range(6):
+        tuner.observe(number, stride(number, 0.02), charge_of(tuner.parameters), 1.0)
+    shaped = (*(290.0,) * 6, *(200.0,) * (len(tuner.start.widths_us) - 6))
+    tuner.parameters = replace(tuner.parameters, start_delay_s=0.12, widths_us=shaped)
+    before, strides = tuner.parameters, tuner.model.strides
+    report = tuner.observe(6, stride(6, 0.02, speed_mps=1.0), charge_of(before), 1.0)
+    assert report is not None
+    assert (report.kind, "even until this speed is known" in report.text) == ("change", True)
+    now = tuner.parameters
+    assert (now.current_ma, now.start_delay_s) == (before.current_ma, tuner.start.start_delay_s)
+    assert set(now.widths_us) == {290.0, 200.0 + tuner.tuning.max_change_us}  # no further than one stride may go
+    assert tuner.model.strides == strides
+    tuner.freeze(6)
+    tuner.observe(7, stride(7, 0.02, speed_mps=1.6), charge_of(now), 1.0)
+    assert tuner.parameters == now
 
 
 def test_on_stairs_what_was_learnt_is_put_away_after_two_strides_and_comes_back() -> None:

@@ -10,7 +10,7 @@ import pytest
 from tuning_plant import channel, stride, tuning
 
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.shape import Zones, missing_drives, next_profile, zones_of
+from fes.stimulation.tuning.shape import SPREAD, BurstShape, Zones, missing_drives, next_profile, zones_of
 from fes.stimulation.tuning.targets import (
     GroundWatch,
     Reading,
@@ -109,7 +109,32 @@ def test_early_pulses_answer_for_all_that_is_left_of_mid_swing() -> None:
     low_in_mid_swing = [0.3 if 0.58 <= t < 0.59 else -0.1 for t in times_s]
     low_at_contact = [0.3 if 0.74 <= t < 0.75 else -0.1 for t in times_s]
     assert missing_drives(zones, 0.1, times_s, low_in_mid_swing) == [0.3] * 8 + [-0.1] * 4
+    assert missing_drives(zones, 0.1, times_s, [-0.1] * len(times_s)) == [-0.1] * 12
     assert missing_drives(zones, 0.1, times_s, low_at_contact) == [-0.1] * 7 + [0.3] * 4 + [-0.1]
+
+
+def test_while_mid_swing_is_short_nothing_that_reaches_it_falls() -> None:
+    """What the bins before cannot give for their bound, these hold."""
+    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
+    times_s = [0.02 * k for k in range(20, 40)]
+    low_early = [0.3 if t < 0.41 else -0.1 for t in times_s]
+    found = missing_drives(zones, 0.1, times_s, low_early)
+    assert found[: 6 + SPREAD] == [0.3] * 4 + [0.0] * 4
+    assert found[6 + SPREAD :] == [-0.1] * 4
+
+
+@pytest.mark.parametrize("above", [False, True])
+def test_it_is_raised_at_once_and_within_the_bands_lowered_in_thirds(above: bool) -> None:
+    tuned = tuning(method="learning")
+    shape = BurstShape(channel(tuned), tuned, 1.0)
+    base = BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40)
+    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
+
+    def moved_us(missing: float) -> float:
+        return shape.learnt(base, zones, 0.1, [0.5], [missing], 1.0, above=above).widths_us[3] - 200.0
+
+    assert moved_us(1.0) == pytest.approx(300.0)  # whatever one stride allows comes of it later
+    assert moved_us(-1.0) == pytest.approx(-tuned.max_change_us * (1.0 if above else 1.0 / 3.0))
 
 
 def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:
@@ -221,10 +246,23 @@ def test_a_stride_in_which_a_person_acted_teaches_nothing(seen: StrideFilter) ->
     assert seen.why_skip(stride(5, 0.02), 270.0, 1.0) == ""
 
 
-def test_a_new_speed_is_the_usual_one_after_some_strides(seen: StrideFilter) -> None:
+def test_a_new_speed_is_the_usual_one_with_the_second_stride(seen: StrideFilter) -> None:
     whys = [seen.why_skip(stride(n, 0.02, speed_mps=1.2), 270.0, 1.0) for n in range(4, 10)]
-    assert whys[0]
-    assert not any(whys[3:])
+    assert whys[0].startswith("the speed changed from 0.6 to 1.2")
+    assert not any(whys[1:])
+
+
+def test_two_strides_that_differ_from_each_other_are_no_new_speed(seen: StrideFilter) -> None:
+    speeds_mps = (1.2, 0.3, 1.2, 0.6, 0.6)
+    whys = [bool(seen.why_skip(stride(4 + n, 0.02, speed_mps=v), 270.0, 1.0)) for n, v in enumerate(speeds_mps)]
+    assert whys == [True, True, True, False, False]
+
+
+def test_strides_of_who_walks_slowly_differ_by_more_of_their_speed() -> None:
+    filtered = StrideFilter(tuning(), 0.15)
+    speeds_mps = (0.25, 0.25, 0.25, 0.25, 0.34, 0.17, 0.36)
+    whys = [filtered.why_skip(stride(n, 0.02, speed_mps=v), 270.0, 1.0) for n, v in enumerate(speeds_mps)]
+    assert [bool(why) for why in whys[1:]] == [False] * 5 + [True]
 
 
 def test_nothing_different_is_said_as_nothing() -> None:

@@ -17,9 +17,9 @@ from fes.config import Band, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import Demand, room
-from fes.stimulation.tuning.guardrails import share_used
+from fes.stimulation.tuning.guardrails import spent
 from fes.stimulation.tuning.targets import Measure
-from fes.stimulation.tuning.timing import WEAK, SpeedTiming
+from fes.stimulation.tuning.timing import SpeedTiming
 from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner, TuningReport
 
 SECOND = 1_000_000_000
@@ -328,55 +328,6 @@ def test_timing_follows_the_speed() -> None:
     assert timing.wanted("swing", 0.15, 0.1)[0] == 0.0
 
 
-def test_the_start_is_put_off_while_it_suffices_and_comes_sooner_when_nothing_else_is_left() -> None:
-    timing = SpeedTiming()
-    for number in range(4):
-        timing.add(paced(number, 1.0))
-    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
-    for _ in range(9):
-        timing.put_off(0.0, 0.5, 3.0, 0.1)
-    latest_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
-    assert latest_s - first_s == pytest.approx(0.10 * 0.5, abs=0.001)  # a quarter of the swing, then a third
-    assert "as late as it suffices" in timing.reason(0.0)
-    timing.put_off(0.2, 0.5, 3.0, 0.1)  # more is needed, and the intensity can give it
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == latest_s
-    for _ in range(9):
-        timing.put_off(0.2, 1.0, 3.0, 0.1)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
-
-
-def test_a_foot_that_hardly_answers_to_more_gets_it_sooner() -> None:
-    timing = SpeedTiming()
-    for number in range(4):
-        timing.add(paced(number, 1.0))
-    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
-    for _ in range(9):
-        timing.put_off(0.0, 0.5, 0.9 * WEAK, 0.1)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s  # not put off, though nothing is missing
-    for _ in range(9):
-        timing.put_off(0.0, 0.5, WEAK, 0.1)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] > first_s
-    for _ in range(9):
-        timing.put_off(0.2, 0.5, 0.9 * WEAK, 0.1)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
-
-
-def test_the_start_of_an_unsteady_foots_burst_is_not_put_off() -> None:
-    timing = SpeedTiming()
-    for number in range(4):
-        timing.add(paced(number, 1.0))
-    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
-    for _ in range(9):
-        timing.put_off(0.0, 0.5, 3.0, 0.2)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
-    for _ in range(9):
-        timing.put_off(0.0, 0.5, 3.0, 0.1)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] > first_s
-    for _ in range(9):
-        timing.put_off(0.0, 0.5, 3.0, 0.2)
-    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s  # and comes sooner where it gets unsteady
-
-
 def test_the_pulses_end_sooner_by_what_the_force_outlives_them() -> None:
     timing = SpeedTiming()
     for number in range(4):
@@ -398,21 +349,22 @@ def test_room_is_what_keeps_the_other_measure_in_its_band() -> None:
     assert room((pitch,)) == math.inf
 
 
-def test_how_much_of_the_bound_is_used() -> None:
-    current = BurstParameters(15.0, 0.0, 0.0, (300.0, 300.0))
-    asked = tuning()
+@pytest.mark.parametrize(("share", "all_given"), [(0.5, False), (0.98, False), (1.0, True)])
+def test_whether_the_bound_is_spent(share: float, all_given: bool) -> None:
+    asked, learning = tuning(), tuning(method="learning")
     assert asked.bounds is not None
-    assert share_used(current, asked) == pytest.approx(15.0 / asked.bounds.current_ma.high)
-    assert share_used(current, asked.model_copy(update={"bounds": None})) == 1.0
-    learning = tuning(method="learning")
     assert learning.bounds is not None
-    assert share_used(current, learning) == pytest.approx(300.0 / learning.bounds.pulse_width_us.high)
+    current = BurstParameters(share * asked.bounds.current_ma.high, 0.0, 0.0, (300.0, 300.0))
+    assert spent(current, asked) == all_given
+    widest = BurstParameters(10.0, 0.0, 0.0, (100.0, share * learning.bounds.pulse_width_us.high))
+    assert spent(widest, learning) == all_given
+    assert spent(current, asked.model_copy(update={"bounds": None}))
 
 
 def test_timing_moves_by_no_more_than_a_step_a_stride() -> None:
     done = walk(Plant(noise_m=0.0), 30, tuning(timing=True))
     delays_s = [parameters.start_delay_s for parameters in done.parameters]
-    assert delays_s[-1] == pytest.approx(0.225 + 0.05, abs=0.02)  # put off, for the foot clears with less than all
+    assert delays_s[-1] == pytest.approx(0.225, abs=0.02)
     assert max(b - a for a, b in pairwise(delays_s)) <= 0.02 + 1e-9
 
 

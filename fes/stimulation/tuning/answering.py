@@ -1,13 +1,15 @@
 """Whether the foot answers to stimulation at all: one whose electrode has come off must not be given ever more.
 
 By the identified response: nearly all that the bound allows has been given over some strides, no target is
-reached, and all that stimulation can be believed to lift the foot by is less than the weakest foot's answer. A foot
-whose threshold lies above the session's setting answers to nothing below it, so it is searched for upward first. A foot
-that lies among its strides without stimulation although more was given than it needed before is lost.
+reached nor was before, and all that stimulation can be believed to lift the foot by is less than the weakest foot's
+answer. A foot whose threshold lies above the session's setting answers to nothing below it, so it is searched for
+upward first. A foot that has reached its targets answers; one that tires is given what the bound allows. It is lost
+once it lies, though more is given than it needed then, among its strides without stimulation, or, where these are not
+known, far below where it was; and, once a fault was found, where more since then did not lift it as it should have.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from statistics import median
 from typing import Final
@@ -15,7 +17,7 @@ from typing import Final
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.guardrails import at_most, drive_of
 from fes.stimulation.tuning.response import ResponseModel
-from fes.stimulation.tuning.targets import Reading
+from fes.stimulation.tuning.targets import ROLL, Reading
 
 SEARCHED: Final = 0.8  # of the bound: no threshold is looked for above
 STRIDES: Final = 5  # below the target, so many of them in a row …
@@ -28,7 +30,12 @@ LIFTS: Final = 0.25  # bands above the strides with the least stimulation: such 
 LOST_STRIDES: Final = 3
 LOST: Final = 0.25  # of what stimulation lifted the foot by is left at most …
 LIFTED: Final = 0.35  # … which was so many bands
+FELL: Final = 0.5  # bands, in every measure
 MORE: Final = 0.15  # of the bound: a loose electrode would have been made up for
+THEN: Final = 2  # strides, as many as a fault is told by
+SHOULD: Final = 0.1  # bands that what was given since should have lifted the foot by, less a standard deviation …
+ANSWERED: Final = 0.1  # … of which so much has to come
+REACHED: Final = 3  # strides in a row within the targets: this foot answers, or needs nothing
 
 NO_ANSWER: Final = "the foot does not answer to stronger stimulation"
 LIKE_NONE: Final = "the foot moves as it does without stimulation"
@@ -40,17 +47,28 @@ class AnswerMonitor:
     def __init__(self) -> None:
         # drive, settings and whether the bound was spent, since the targets were last reached
         self._run: deque[tuple[float, BurstParameters, bool]] = deque(maxlen=16)
-        self._lifted: dict[str, tuple[float, float]] = {}  # by how much, and by what drive, when last reached
+        self._reached: dict[str, tuple[float, float]] = {}  # level and drive when the targets were last reached
+        self._in_a_row = 0  # strides that reached them
+        self._has_answered = False
         self._newest: deque[Mapping[str, float]] = deque(maxlen=LOST_STRIDES)
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
         self._weakest: list[tuple[float, Mapping[str, float]]] = []  # the strides with the least drive
+        self._before: ResponseModel | None = None  # the response before a fault …
+        self._since: list[tuple[Mapping[str, float], Mapping[str, float]]] = []  # … drives and levels from it on
 
     def forget(self) -> None:
         """A person is looking after it, or has: what was seen no longer holds, but for strides without stimulation."""
         self._run.clear()
         self._newest.clear()
-        self._lifted.clear()
+        self._reached.clear()
+        self._has_answered = False
         self._weakest.clear()
+        self._before = None
+
+    def fault(self, before: ResponseModel, strides: Iterable[tuple[Reading, Mapping[str, float]]]) -> None:
+        """Something lowered the foot in these strides, the newest still to come; ``before`` is how it answered then."""
+        self._before = before
+        self._since = [(drives, reading.levels) for reading, drives in list(strides)[:-1]]
 
     def add_bare(self, reading: Reading | str) -> None:
         """A stride in which nothing was delivered; one that could not be read says nothing."""
@@ -67,17 +85,21 @@ class AnswerMonitor:
         """
         drive = min(drives.values())
         self._newest.append(reading.levels)
+        if self._before is not None:
+            self._since.append((drives, reading.levels))
         self._weakest = sorted([*self._weakest, (drive, reading.levels)], key=itemgetter(0))[:BARE_NEEDED]
         if reading.level >= 0.0:
             self._run.clear()
-            for measure in reading.measures:
-                if (bare := self._without(measure.name)) is not None:
-                    self._lifted[measure.name] = (measure.level - bare, drives[measure.name])
+            self._reached = {name: (level, drives[name]) for name, level in reading.levels.items()}
+            self._in_a_row += 1
+            if self._in_a_row >= REACHED:
+                self._has_answered, self._before = True, None
             return ""
+        self._in_a_row = 0
         self._run.append((drive, parameters, spent))
-        if self._in_vain(reading, drives, model):
+        if (not self._has_answered and self._in_vain(reading, drives, model)) or self._in_vain_since_the_fault():
             return NO_ANSWER
-        return LIKE_NONE if self._lost(drives) else ""
+        return LIKE_NONE if self._lost(drives, spent=spent) else ""
 
     def before(self, own: BurstParameters) -> BurstParameters:
         """The settings before the climb, the intensity at most the session's ``own``."""
@@ -100,6 +122,24 @@ class AnswerMonitor:
             return any(known)  # nothing is left to give; who is known best says it, a toe's height scatters for long
         return all(known) and all(each.value - SDS * each.sd <= 0.0 for each in gained)  # who answers may with more
 
+    def _in_vain_since_the_fault(self) -> bool:
+        """Whether in no measure a fair part has come of what the response before the fault lets expect of it."""
+        if self._before is None or len(self._since) < THEN + LOST_STRIDES:
+            return False
+        answered = []
+        for name in self._since[0][1]:
+            then, now = self._since[:THEN], self._since[-LOST_STRIDES:]
+            if name == ROLL or any(name not in levels for _, levels in (*then, *now)):
+                continue
+            lift = median(levels[name] for _, levels in now) - min(levels[name] for _, levels in then)
+            drive = [median(drives[name] for drives, _ in part) for part in (then, now)]
+            slope = self._before.slope(name)
+            should = self._before.expected(name, drive[1]).value - self._before.expected(name, drive[0]).value
+            should *= max(1.0 - slope.sd / max(abs(slope.value), 1e-6), 0.0)
+            if should > SHOULD and drive[1] >= drive[0] + MORE:
+                answered.append(lift > ANSWERED * should)
+        return bool(answered) and not any(answered)
+
     def _lifts(self, reading: Reading) -> bool:
         """Whether the newest strides lie above those with the least stimulation, or none, in any measure."""
         for name in reading.levels:
@@ -111,17 +151,17 @@ class AnswerMonitor:
                 return True
         return False
 
-    def _lost(self, drives: Mapping[str, float]) -> bool:
-        if len(self._newest) < LOST_STRIDES:
-            return False
-        for name, (lifted, drive) in self._lifted.items():
-            bare = self._without(name)
-            newest = [levels[name] for levels in self._newest if name in levels]
-            if bare is None or lifted < LIFTED or len(newest) < LOST_STRIDES or name not in drives:
-                continue
-            if max(newest) - bare < LOST * lifted and drives[name] >= drive + MORE:
+    def _lost(self, drives: Mapping[str, float], *, spent: bool) -> bool:
+        fell = []
+        for name, (level, drive) in self._reached.items():
+            bare, newest = self._without(name), [levels[name] for levels in self._newest if name in levels]
+            if len(newest) < LOST_STRIDES or name not in drives:
+                return False
+            more = drives[name] >= drive + MORE
+            if bare is not None and level - bare >= LIFTED and max(newest) - bare < LOST * (level - bare) and more:
                 return True
-        return False
+            fell.append(bare is None and level - max(newest) > FELL and (more or spent))
+        return bool(fell) and all(fell)
 
     def _without(self, name: str) -> float | None:
         """The level without stimulation; None where too little was seen of it."""

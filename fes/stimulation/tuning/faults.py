@@ -41,6 +41,16 @@ class FaultWatch:
         self._earlier.clear()
         self._last.clear()
 
+    @property
+    def before(self) -> ResponseModel:
+        """The response as it was before the strides that a fault was told by."""
+        return self._earlier[0]
+
+    @property
+    def strides(self) -> tuple[tuple[Reading, Mapping[str, float]], ...]:
+        """The strides that a fault was told by, and their drives."""
+        return tuple(self._last)
+
     def stride(self, reading: Reading, drives: Mapping[str, float], model: ResponseModel) -> str:
         """Take in a valid stride, before ``model`` does; what most likely happened, "" for nothing."""
         self._earlier.append(deepcopy(model))

@@ -12,6 +12,7 @@ from fes.stimulation.envelope import BurstParameters
 QUANTUM_MA: Final = 0.5  # the devices' step: less would be a change on paper only
 QUANTUM_US: Final = 1.0
 QUANTUM_S: Final = 0.005
+SPENT: Final = 0.99  # of the intensity's bound: from there on there is nothing left to give
 
 
 def limited(before: BurstParameters, wanted: BurstParameters, tuning: Tuning) -> BurstParameters:
@@ -42,6 +43,20 @@ def at_least(wanted: BurstParameters, least: BurstParameters) -> BurstParameters
     return replace(wanted, current_ma=max(wanted.current_ma, least.current_ma), widths_us=widths)
 
 
+def between(one: BurstParameters, other: BurstParameters, share: float) -> BurstParameters:
+    """``share`` of the way from the one to the other, number by number."""
+
+    def mixed(a: float, b: float) -> float:
+        return (1.0 - share) * a + share * b
+
+    return BurstParameters(
+        mixed(one.current_ma, other.current_ma),
+        mixed(one.start_delay_s, other.start_delay_s),
+        mixed(one.extension_s, other.extension_s),
+        tuple(mixed(a, b) for a, b in zip(one.widths_us, other.widths_us, strict=True)),
+    )
+
+
 def strongest_drive(channel: Channel, tuning: Tuning) -> float:
     """The drive at the upper bound of what the method moves; 1 without bounds."""
     if tuning.bounds is None:
@@ -61,13 +76,13 @@ def peak_of(parameters: BurstParameters, own: BurstParameters) -> float:
     return parameters.current_ma / own.current_ma * max(parameters.widths_us) / max(own.widths_us)
 
 
-def share_used(parameters: BurstParameters, tuning: Tuning) -> float:
-    """Share of the intensity's upper bound that is in use where the burst is strongest; 1 without bounds."""
+def spent(parameters: BurstParameters, tuning: Tuning) -> bool:
+    """Whether the intensity's upper bound is in use where the burst is strongest; without bounds it is."""
     if tuning.bounds is None:
-        return 1.0
+        return True
     if tuning.method == "run_to_run":
-        return parameters.current_ma / tuning.bounds.current_ma.high
-    return max(parameters.widths_us) / tuning.bounds.pulse_width_us.high
+        return parameters.current_ma >= SPENT * tuning.bounds.current_ma.high
+    return max(parameters.widths_us) >= SPENT * tuning.bounds.pulse_width_us.high
 
 
 def _step(before: float, wanted: float, most: float, quantum: float, bounds: Bounds) -> float:

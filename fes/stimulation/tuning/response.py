@@ -168,11 +168,6 @@ class ResponseModel:
         middle = float(mean @ self._weights)
         return Known(middle, math.sqrt(float((variance + (mean - middle) ** 2) @ self._weights)))
 
-    def slope_at(self, name: str, drive: float) -> float:
-        """By how many bands over the whole range the level rises with the drive there."""
-        lines = self._lines[name]
-        return float((lines.mean[:, 1] * (drive >= THRESHOLDS)) @ self._weights)
-
     def slope(self, name: str) -> Known:
         """Above the threshold, bands over the whole range."""
         lines = self._lines[name]

@@ -34,6 +34,8 @@ FORCE_LASTS_S: Final = 0.20  # a pulse's twitch, from its first effect on
 WEAKEST_HOLD: Final = 0.5  # of the channel's own width: less would hardly reach the muscle
 REMEMBERED: Final = 5
 HELD_BACK: Final = 0.99  # of the own width: a hold below it can still be raised
+SPREAD: Final = 2  # bins beyond those that carry mid-swing: their pulses' first effect still reaches it
+LOWERED: Final = 1.0 / 3.0  # of what one stride may change, within the bands: raised at once, lowered in thirds
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +67,19 @@ def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missi
     """What each bin reached is short of, in drive: the most of all samples that its pulses' force reaches.
 
     A foot that has been lifted has to be carried over: early pulses answer for what is left of mid-swing as well, not
-    for the toe's height on its way there, which the knee gives it. ``missing`` (N,) is what the samples at ``times_s``
-    (N,) since entry into pre-swing are short of; those before the first and beyond the last answer for the bins that
-    reach none.
+    for the toe's height on its way there, which the knee gives it. Where mid-swing is short of anything, nothing that
+    reaches it falls: what one bin cannot give for its bound, its neighbours hold. ``missing`` (N,) is what the samples
+    at ``times_s`` (N,) since entry into pre-swing are short of; those before the first and beyond the last answer for
+    the bins that reach none.
     """
     found, carried_s = [], 0.0 if zones.times is None else zones.times.middle_s
+    short = any(m > 0.0 for t, m in zip(times_s, missing, strict=True) if t <= carried_s)
     for k in range(zones.reached):
         begin_s = zones.burst_s + (k + 0.5) * BIN_S + delay_s
         end_s = max(begin_s + FORCE_LASTS_S, carried_s)
         inside = [m for t, m in zip(times_s, missing, strict=True) if begin_s <= t <= end_s]
-        found.append(max(inside) if inside else missing[0 if begin_s < times_s[0] else -1])
+        asked = max(inside) if inside else missing[0 if begin_s < times_s[0] else -1]
+        found.append(max(asked, 0.0) if short and k < zones.middle + SPREAD else asked)
     return found
 
 
@@ -153,11 +158,16 @@ class BurstShape:
 
     def learnt(
         self, base: BurstParameters, zones: Zones, delay_s: float, times_s: Sequence[float],
-        missing: Sequence[float], intensity: float,
+        missing: Sequence[float], intensity: float, *, above: bool,
     ) -> BurstParameters:  # fmt: skip
-        """Learning: ``base`` with the profile that the last swing's samples ask for, before any limit or bound."""
+        """Learning: ``base`` with the profile that the last swing's samples ask for, before any limit or bound.
+
+        ``above``: whether a measure lies above its band, so that all that is too much may go at once.
+        """
         per_drive_us = self._channel.pulse_width_us * self._most / intensity
-        steps_us = [per_drive_us * step for step in missing_drives(zones, delay_s, times_s, missing)]
+        least_us = -self._tuning.max_change_us * (1.0 if above else LOWERED)
+        drives = missing_drives(zones, delay_s, times_s, missing)
+        steps_us = [max(per_drive_us * step, least_us) for step in drives]
         return replace(base, widths_us=tuple(next_profile(base.widths_us, steps_us)))
 
     def why_held(
@@ -175,6 +185,12 @@ class BurstShape:
         if not self._learns:
             return replace(base, current_ma=base.current_ma - self._tuning.max_change_ma)
         return replace(base, widths_us=tuple(width - self._tuning.max_change_us for width in base.widths_us))
+
+    def even(self, base: BurstParameters) -> BurstParameters:
+        """For a speed that nothing is known of: everywhere as strong as where ``base`` is strongest, begun no later
+        than the session says."""
+        widths_us = (max(base.widths_us),) * len(base.widths_us)
+        return replace(base, widths_us=widths_us, start_delay_s=min(base.start_delay_s, self._own.start_delay_s))
 
     def scaled(self, base: BurstParameters, factor: float) -> BurstParameters:
         """``base`` with its strength times this."""

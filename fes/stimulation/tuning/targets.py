@@ -17,7 +17,7 @@ from fes.config import Band, Tuning
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 
 STOP_S: Final = 0.8  # between the end of a stride and the beginning of the next: a stop
-SPEED_CHANGE: Final = 0.25
+SPEED_CHANGE, LEAST_SPEED_CHANGE_MPS = 0.25, 0.1  # of the usual speed, and at least
 CHARGE_SHARE: Final = 0.6  # of the usual charge: the rest of the pulses were refused, or lost
 REMEMBERED: Final = 5
 SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
@@ -27,6 +27,7 @@ LEAST_STAIR_M: Final = 0.12  # rises by more on any stair, however a sensor scat
 RISES: Final = 20
 RISE_SDS: Final = 4.0
 UNEVEN_GROUND: Final = "a stair or a slope"
+OTHER_SPEED: Final = "the speed changed"
 NO_CHARGE: Final = "no stimulation was delivered in it"
 PITCH = "foot pitch at contact"
 ROLL = "eversion at contact"
@@ -93,6 +94,7 @@ class StrideFilter:
         self._changed_ns: int | None = None
         self._ground_changed_ns: int | None = None
         self._speeds: deque[float] = deque(maxlen=REMEMBERED)
+        self._other_mps: float | None = None  # of the stride before, where it was walked at another speed
         self._charges: deque[float] = deque(maxlen=REMEMBERED)
 
     def operator_changed(self, t_ns: int) -> None:
@@ -118,6 +120,11 @@ class StrideFilter:
         if end_ns is not None and stride.t_end_ns <= end_ns:
             return "it is no newer than the stride before"
         usual_mps = median(self._speeds) if self._speeds else stride.speed_mps
+        other, before_mps = _other_speed(stride.speed_mps, usual_mps), self._other_mps
+        self._other_mps = stride.speed_mps if other else None
+        if other and before_mps is not None and not _other_speed(stride.speed_mps, before_mps):
+            self._speeds.clear()  # two in a row: this is the speed now
+            other, self._other_mps = False, None
         self._speeds.append(stride.speed_mps)
         if end_ns is None or stride.t_start_ns - end_ns > STOP_S * NS_PER_S:
             self._speeds.clear()
@@ -130,8 +137,8 @@ class StrideFilter:
             return "a person changed the ground meanwhile"  # before its rise would count as a stair's, or as usual
         if uneven := self._ground.unusual(stride):
             return uneven
-        if abs(stride.speed_mps - usual_mps) > SPEED_CHANGE * usual_mps:
-            return f"the speed changed from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
+        if other:
+            return f"{OTHER_SPEED} from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
         if self._changed_ns is not None and self._changed_ns >= stride.t_start_ns:
             return "a person changed the stimulation meanwhile"
         if charge_uc <= 0.0 or drive <= 0.0:
@@ -142,6 +149,10 @@ class StrideFilter:
         if relative < CHARGE_SHARE * usual:
             return f"only {relative / usual:.0%} of the usual pulses were delivered"
         return ""
+
+
+def _other_speed(speed_mps: float, usual_mps: float) -> bool:
+    return abs(speed_mps - usual_mps) > max(SPEED_CHANGE * usual_mps, LEAST_SPEED_CHANGE_MPS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,7 @@
 """Start and end of the burst that follow the walking speed.
 
 A trapezoid that rises while the heel does must have the foot up as the toe begins to pass low, a quarter of the swing
-after foot off, and its current up at foot off at the latest. While what is asked for is reached with intensity to
-spare, the start is put off, step by step, until the foot is up a third of the swing after foot off: of every pulse,
-what lies below the muscle's threshold is charge for nothing, so later and stronger costs less. A foot that hardly
-answers to a stronger burst gets an earlier one.
+after foot off, and its current up at foot off at the latest.
 
 From contact to foot flat the dorsiflexors give way slowly, so that the forefoot does not slap (the first rocker: Perry
 & Burnfield, *Gait Analysis*, 2nd ed. 2010). The force outlives the pulses, so these end sooner by that; they end before
@@ -35,13 +32,9 @@ NEEDED: Final = 3
 NEWEST: Final = 3  # strides whose duration is followed
 FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
 OUTLIVES_S: Final = 0.13  # force outlives pulses: delay 20–50 ms, then 1.5 times the activation's fall, 60 ms
-LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
+LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low
 SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
-LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
-SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
-WEAK: Final = 1.5  # bands over the intensity's whole range; 2 to 3 are usual
 PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
-STEADY, UNSTEADY = 0.12, 0.16  # bands, of a stride's noise: a foot that leaves early finds a late burst missing
 SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
 
@@ -91,21 +84,8 @@ class SpeedTiming:
         self._shares: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED)
         self._durations_s: deque[float] = deque(maxlen=NEWEST)
         self._speed_mps = 0.0
-        self._late = 0.0  # 0 … 1: how far the start has been put off
         self._end = ""  # why it is where it is
         self._soon = 0.0  # 0 … 1: how far the end has been brought forward to before contact
-
-    def put_off(self, missing: float, used: float, slope: float, noise: float) -> None:
-        """Let the start come later, or sooner again.
-
-        ``missing`` is > 0 when more stimulation is needed, ``used`` the share of the intensity's bound in use,
-        ``slope`` that of what is reached in mid-swing, bands over the whole range: where it hardly answers to a
-        stronger burst, the burst comes too late for it rather than too weak. ``noise`` is a stride's there, bands.
-        """
-        if noise > UNSTEADY or (missing > 0.0 and (used >= SPENT or slope < WEAK)):
-            self._late = max(self._late - PATIENCE, 0.0)
-        elif missing <= 0.0 and slope >= WEAK and noise <= STEADY:
-            self._late = min(self._late + PATIENCE, 1.0)
 
     def bring_forward(self, reached: float | None, missing: float, lowering: Lowering, extension_s: float) -> None:
         """Let the end come before contact, or no longer.
@@ -154,9 +134,7 @@ class SpeedTiming:
         spread = 1.4826 * median(abs(share - usual) for share in pre)
         pre_swing_s = max(usual - SPREADS * spread, 0.0) * self._duration_s
         swing_s = median(share for _, share, _ in self._shares) * self._duration_s
-        first_s = min(LOW_FROM * swing_s - FORCE_S, 0.0)
-        last_s = max(LATEST * swing_s - FORCE_S, first_s)
-        up_s = pre_swing_s + first_s + self._late * (last_s - first_s)
+        up_s = pre_swing_s + min(LOW_FROM * swing_s - FORCE_S, 0.0)
         delay_s = max(up_s - rise_s, 0.0) if start_phase == "pre_swing" else 0.0
         loading_s = median(share for _, _, share in self._shares) * self._duration_s
         extension_s = max(loading_s - fall_s - OUTLIVES_S, -SOONEST_S)
@@ -164,8 +142,8 @@ class SpeedTiming:
 
     def reason(self, extension_s: float) -> str:
         """Why, in words; ``extension_s`` is what follows."""
-        up, end = ", as late as it suffices" if self._late else "", self._end if extension_s < 0.0 else ""
+        end = self._end if extension_s < 0.0 else ""
         return (
             f"timing follows the speed ({self._speed_mps:.1f} m/s, stride {self._duration_s:.2f} s): current up as the "
-            f"toe leaves the ground{up}, force gone as the foot lies flat{end}"
+            f"toe leaves the ground, force gone as the foot lies flat{end}"
         )

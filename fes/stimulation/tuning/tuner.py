@@ -14,7 +14,7 @@ from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import AnswerMonitor
 from fes.stimulation.tuning.delay import STEP_S, DelayEstimate
-from fes.stimulation.tuning.demand import Demand, at_contact, demands_of, in_mid_swing, reason
+from fes.stimulation.tuning.demand import Demand, at_contact, demands_of, reason
 from fes.stimulation.tuning.faults import FaultWatch
 from fes.stimulation.tuning.guardrails import (
     at_least,
@@ -23,7 +23,7 @@ from fes.stimulation.tuning.guardrails import (
     limited,
     outside,
     peak_of,
-    share_used,
+    spent,
     strongest_drive,
 )
 from fes.stimulation.tuning.memory import SpeedMemory
@@ -32,6 +32,7 @@ from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.shape import BurstShape, Zones
 from fes.stimulation.tuning.targets import (
     NO_CHARGE,
+    OTHER_SPEED,
     PITCH,
     ROLL,
     UNEVEN_GROUND,
@@ -42,7 +43,7 @@ from fes.stimulation.tuning.targets import (
     swing_times,
     times_ns,
 )
-from fes.stimulation.tuning.timing import SPENT, Lowering, SpeedTiming
+from fes.stimulation.tuning.timing import Lowering, SpeedTiming
 
 Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen", "identified"]
 
@@ -256,13 +257,14 @@ class Tuner:
             self.faults.forget()
         fault = self.faults.stride(reading, drives, self.model)
         self._spared = SPARED if fault else max(self._spared - 1, 0)
+        if fault:
+            self._answers.fault(self.faults.before, self.faults.strides)
+            self.memory.forget()
+            self._by_ground.clear()
         if fault or other_speed:
             self.faults.forget()
             self.model.shake()
             self._climb = None
-        if fault:
-            self.memory.forget()
-            self._by_ground.clear()
         self.model.add(reading, drives, others_changed)
         self._learn_delay(stride, intensity)
         report = self._on_reading(t_ns, stride, reading, drives, zones, intensity, other_speed=other_speed)
@@ -282,9 +284,11 @@ class Tuner:
         if self._reached >= REACHED_STRIDES:
             self._roll_backs = 0
         if 0.0 <= reading.level <= 1.0 and not self._spared:
-            self.memory.keep(self.drive)
-        spent = share_used(self.parameters, self.tuning) >= SPENT
-        if not self.frozen and (why := self._answers.stride(reading, drives, self.parameters, self.model, spent=spent)):
+            self.memory.keep(self.parameters)
+        all_given = spent(self.parameters, self.tuning)
+        if not self.frozen and (
+            why := self._answers.stride(reading, drives, self.parameters, self.model, spent=all_given)
+        ):
             return self._stop(t_ns, why)
         if self._returning is not None and (report := self._still_returning(t_ns)):
             return report
@@ -305,20 +309,26 @@ class Tuner:
             self.model.add(reading, dict.fromkeys(reading.levels, 0.0))
 
     def _on_skip(self, t_ns: int, stride: StrideResult, why: str) -> TuningReport:
-        """On stairs and slopes that the session does not say, its own settings; what was learnt waits meanwhile."""
+        """On stairs and slopes that the session does not say, its own settings; what was learnt waits meanwhile.
+
+        At another speed the burst becomes even, for what was learnt of its shape holds at the old one.
+        """
         self.delay.forget_last()
-        text = f"stride {stride.number} skipped: {why}"
+        text, before, what = f"stride {stride.number} skipped: {why}", self.parameters, ""
         self._uneven = self._uneven + 1 if UNEVEN_GROUND in why else 0
-        if self._uneven < UNEVEN or self.frozen or self.tuning.mode != "act":
-            return self._report(t_ns, "skip", text)
-        before = self.parameters
-        if self._even is None:
-            self._even = before
-        self.parameters = limited(before, self.start, self.tuning)
+        if self.tuning.mode == "act" and not self.frozen:
+            if self._uneven >= UNEVEN:
+                if self._even is None:
+                    self._even = before
+                self.parameters, what = limited(before, self.start, self.tuning), "the session's own settings there"
+            elif OTHER_SPEED in why and self._even is None and self._returning is None:
+                even = self._shape.even(before)
+                self.parameters = replace(limited(before, even, self.tuning), start_delay_s=even.start_delay_s)
+                what = "even until this speed is known"
         changes = difference(before, self.parameters)
         if not changes:
             return self._report(t_ns, "skip", text)
-        return self._report(t_ns, "change", f"{text}; the session's own settings there: {changes}", before)
+        return self._report(t_ns, "change", f"{text}; {what}: {changes}", before)
 
     def _learn_delay(self, stride: StrideResult, intensity: float) -> None:
         """Hold this swing's pitch against the stride's before, and so the drives that both had."""
@@ -448,7 +458,7 @@ class Tuner:
 
     def _tune(
         self, t_ns: int, stride: StrideResult, reading: Reading, demands: tuple[Demand, ...], zones: Zones | None,
-        intensity: float, known: float | None,
+        intensity: float, known: BurstParameters | None,
     ) -> TuningReport | None:  # fmt: skip
         before, asks_to_know = self.parameters, ""
         worst = self._shape.leader(demands, zones, before)
@@ -456,9 +466,6 @@ class Tuner:
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
             error = 0.0
         self._settle = max(self._settle - 1, 0)
-        middle = in_mid_swing(demands)
-        slope = self.model.slope_at(middle.measure.name, middle.drive)
-        self._timing.put_off(demands[0].error, share_used(before, self.tuning), slope, middle.noise)
         self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
         wanted = before
         if self.tuning.timing and self._timing.enough_strides:
@@ -469,7 +476,7 @@ class Tuner:
             if abs(extension_s - before.extension_s) > TIMING_DEAD_S:
                 wanted = replace(wanted, extension_s=extension_s)
         if known is not None:
-            wanted = self._shape.scaled(wanted, known / self.drive)
+            wanted = known
         elif error:
             wanted = self._answered(wanted, stride, demands, zones, intensity)
         elif asks_to_know := self._worth_knowing(demands):
@@ -515,7 +522,8 @@ class Tuner:
         missing = missing_drive(stride, zones.times, demands, self.model, self.geometry, self.tuning.gain)
         if not missing.times_s:
             return wanted
-        return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity)
+        above = any(max(demand.usual, demand.measure.level) > 1.0 for demand in demands)
+        return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity, above=above)
 
     def _propose(self, t_ns: int, after: BurstParameters, text: str) -> TuningReport | None:
         before = self.parameters
@@ -568,7 +576,7 @@ class Tuner:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
         if self._unreached != UNREACHED_STRIDES:
             return None
-        if share_used(self.parameters, self.tuning) >= SPENT:
+        if spent(self.parameters, self.tuning):
             where = "at the upper bound: look at electrodes, fatigue and target"
         else:
             where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
