@@ -24,11 +24,13 @@ from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
 
 DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command periods for the answer to come back
+WIDTH_STEP_US = 2.0
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
 STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
 STILL: Final = "still going back"
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
+    "change": ("; even until this speed is known: ", "; the session's own settings there: "),
     "skip": (" skipped: ",),
     "fault": ("something has changed that stimulation did not",),
     "identified": ("identified: ",),
@@ -119,11 +121,24 @@ class CommandColumns:
 
     def current_at(self, t_ns: IntArray) -> FloatArray:
         """Commanded current (N,) in mA in force at each time; 0 where off or lapsed."""
+        return self._in_force(t_ns, self.current_ma)
+
+    def charge_per_phase_at(self, t_ns: IntArray) -> FloatArray:
+        """Commanded charge of one phase (N,) in µC in force at each time; 0 where off or lapsed."""
+        return self._in_force(t_ns, 1e-3 * self.current_ma * self.pulse_width_us)
+
+    @property
+    def widths_vary(self) -> bool:
+        """Whether the commands that are on differ in pulse width by more than a step of any device."""
+        widths_us = self.pulse_width_us[self.on]
+        return bool(widths_us.size and np.ptp(widths_us) > WIDTH_STEP_US)
+
+    def _in_force(self, t_ns: IntArray, values: FloatArray) -> FloatArray:
         if self.t_ns.size == 0:
             return np.zeros(t_ns.shape)
         at = np.searchsorted(self.t_ns, t_ns, side="right") - 1
         in_force = (at >= 0) & (t_ns < self.until_ns[at]) & self.on[at]
-        return np.where(in_force, self.current_ma[at], 0.0)
+        return np.where(in_force, values[at], 0.0)
 
 
 @dataclass(frozen=True)

@@ -380,3 +380,9 @@ def test_current_at_follows_the_commands_in_force():
     columns = command_columns(make.burst(0, 1.0, 0.20), 0)
     times = np.array([make.at(s) for s in (0.99, 1.0, 1.1, 1.1999, 1.2, 5.0)])
     assert columns.current_at(times).tolist() == [0.0, 4.0, 20.0, 4.0, 0.0, 0.0]
+    width_us = columns.pulse_width_us[columns.on][0]
+    expected_uc = [1e-3 * width_us * current_ma for current_ma in (0.0, 4.0, 20.0, 4.0, 0.0, 0.0)]
+    assert columns.charge_per_phase_at(times) == pytest.approx(expected_uc)
+    assert not columns.widths_vary
+    wider = np.where(columns.on, columns.pulse_width_us + 10.0 * np.arange(len(columns.t_ns)), 0.0)
+    assert replace(columns, pulse_width_us=wider).widths_vary

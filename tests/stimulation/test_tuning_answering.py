@@ -331,9 +331,9 @@ def fallen(slope: float, levels: list[float], drives: list[float]) -> list[str]:
 @pytest.mark.parametrize(
     ("levels", "drives", "lost"),
     [
-        ([-0.3] * 6, [0.5, 0.5, 0.6, 0.7, 0.75, 0.8], True),
-        ([-0.3] * 6, [0.5, 0.5, 0.55, 0.6, 0.6, 0.6], False),  # too little was tried
-        ([-0.3, -0.3, -0.25, -0.2, -0.15, -0.1], [0.5, 0.5, 0.6, 0.7, 0.75, 0.8], False),  # a slip: it answers less
+        ([-0.1] * 10, [0.5, 0.5, 0.6, 0.7, *[0.8] * 6], True),
+        ([-0.1] * 10, [0.5, 0.5, 0.55, *[0.6] * 7], False),  # too little was tried
+        ([-0.3, -0.3, -0.25, -0.2, *[-0.1] * 6], [0.5, 0.5, 0.6, 0.7, *[0.8] * 6], False),  # a slip: it answers less
     ],
 )
 def test_after_a_fault_it_is_given_up_once_more_does_nothing(

@@ -124,7 +124,7 @@ def test_while_mid_swing_is_short_nothing_that_reaches_it_falls() -> None:
 
 
 @pytest.mark.parametrize("above", [False, True])
-def test_it_is_raised_at_once_and_within_the_bands_lowered_in_thirds(above: bool) -> None:
+def test_it_is_raised_at_once_and_within_the_bands_lowered_by_fifths(above: bool) -> None:
     tuned = tuning(method="learning")
     shape = BurstShape(channel(tuned), tuned, 1.0)
     base = BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40)
@@ -134,7 +134,7 @@ def test_it_is_raised_at_once_and_within_the_bands_lowered_in_thirds(above: bool
         return shape.learnt(base, zones, 0.1, [0.5], [missing], 1.0, above=above).widths_us[3] - 200.0
 
     assert moved_us(1.0) == pytest.approx(300.0)  # whatever one stride allows comes of it later
-    assert moved_us(-1.0) == pytest.approx(-tuned.max_change_us * (1.0 if above else 1.0 / 3.0))
+    assert moved_us(-1.0) == pytest.approx(-tuned.max_change_us * (1.0 if above else 0.2))
 
 
 def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:

@@ -4,15 +4,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fes.config import Channel
+from fes.config import Band, Channel
 from fes.report.figures.strides import FAINT_STRIDES
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.stimulation import ChannelInfo, TuningRow
 from fes.report.strides import StrideStimulation
 from fes.report.summary import ReportData
 from fes.report.text import readable
-from fes.signals import NS_PER_S
-from fes.stimulation.tuning.targets import pitch_at_contact_rad
+from fes.signals import NS_PER_S, StrideResult
+from fes.stimulation.tuning.targets import pitch_at_contact_rad, roll_at_contact_rad
 
 CHANNEL_COLORS = ("#009E73", "#CC79A7", "#0072B2", "#E69F00", "#000000", "#D55E00", "#56B4E9", "#8C7A00")
 ENVELOPE_STEP_S = 0.01
@@ -56,7 +56,8 @@ def _per_stride(data: ReportData, label: str, pick: Callable[[StrideStimulation]
 
 
 def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
-    """Current against time from the entry into swing, every stride faint and the mean bold."""
+    """Current, or where pulse widths vary the charge per phase, against time from the entry into swing: every stride
+    faint and the mean bold."""
     entries = [
         (one.t_swing_ns, one.t_pre_swing_ns, one.t_loading_response_ns)
         for one in data.record.strides
@@ -71,14 +72,18 @@ def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
     high = (float(np.nanpercentile(loading_s, 95)) if np.isfinite(loading_s).any() else 0.6) + 0.35
     grid_s = np.arange(low, high, ENVELOPE_STEP_S)
     times_ns = swing_ns[:, None] + np.round(grid_s * NS_PER_S).astype(np.int64)
-    current_ma = data.commands[info.number].current_at(times_ns)
-    used = current_ma[current_ma.any(axis=1)]
+    commands = data.commands[info.number]
+    what, unit, at_times = "current", "mA", commands.current_at
+    if commands.widths_vary:
+        what, unit, at_times = "charge per phase", "µC", commands.charge_per_phase_at
+    level = at_times(times_ns)
+    used = level[level.any(axis=1)]
     if not len(used):
         return None
     color = channel_color(info.number)
-    title = f"Current of {info.name} around the swing, {len(used)} strides"
+    title = f"{what.capitalize()} of {info.name} around the swing, {len(used)} strides"
     top = float(used.max()) * 1.25
-    plot = Plot(title, "time from the entry into swing (s)", "current (mA)", (low, high), (0.0, top))
+    plot = Plot(title, "time from the entry into swing (s)", f"{what} ({unit})", (low, high), (0.0, top))
     for at in np.unique(np.linspace(0, len(used) - 1, min(len(used), FAINT_STRIDES)).round().astype(int)):
         plot.line(grid_s, used[at], color, width=0.8, opacity=0.3)
     plot.line(grid_s, used.mean(axis=0), color, width=3)
@@ -140,7 +145,13 @@ def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[
             plot.upright(row.time_s, CHANGE_COLOR, "fault")
         caption = f"As measured in each stride; the band is the tuning's target.{_faults(faults)}"
         figures.append(plot.figure(f"Toe clearance and target, {channel.name}", caption))
-    figures += _pitch_at_contact(data, channel, sensor, faults)
+    pitch, roll = channel.tuning.pitch_at_contact_deg, channel.tuning.eversion_at_contact_deg
+    measures = (
+        ("Foot pitch", "pitch, toe up", pitch, pitch_at_contact_rad),
+        ("Eversion", "eversion", roll, _eversion_rad),
+    )
+    for name, axis, target, at_contact in measures:
+        figures += _at_contact(data, channel, sensor, faults, name, axis, target, at_contact)
     learns = channel.tuning.method == "learning"  # it moves the pulses' widths: their charge shows what it set
     own = [[item for item in row.stimulation if item.channel == channel.number] for row in rows]
     if learns:
@@ -164,26 +175,29 @@ def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[
     return figures
 
 
-def _pitch_at_contact(data: ReportData, channel: Channel, sensor: str, faults: Sequence[TuningRow]) -> list[Figure]:
-    """Foot pitch at initial contact per stride, with its target; none without one."""
-    band = channel.tuning.pitch_at_contact_deg if channel.tuning else None
+def _eversion_rad(stride: StrideResult) -> float:
+    return -roll_at_contact_rad(stride)
+
+
+def _at_contact(
+    data: ReportData, channel: Channel, sensor: str, faults: Sequence[TuningRow], name: str, axis: str,
+    band: Band | None, angle_rad: Callable[[StrideResult], float],
+) -> list[Figure]:  # fmt: skip
+    """An angle of the foot at initial contact per stride, with its target; none without one."""
     strides = [stride for stride in data.record.strides if stride.foot == sensor and stride.valid]
-    pitch_deg = np.degrees([pitch_at_contact_rad(stride) for stride in strides])
-    if band is None or not np.isfinite(pitch_deg).any():
+    angle_deg = np.degrees([angle_rad(stride) for stride in strides])
+    if band is None or not np.isfinite(angle_deg).any():
         return []
     start_s = np.array([(stride.t_start_ns - data.origin_ns) / NS_PER_S for stride in strides])
-    x_range = padded([start_s], share=0.03)
-    edges = np.array([band.low, band.high])
-    plot = Plot(
-        "foot pitch at contact per stride", "time (s)", "pitch, toe up (°)", x_range, padded([pitch_deg, edges])
-    )
+    x_range, edges = padded([start_s], share=0.03), np.array([band.low, band.high])
+    plot = Plot(f"{name} at contact per stride", "time (s)", f"{axis} (°)", x_range, padded([angle_deg, edges]))
     plot.band(np.array(x_range), np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
-    titles = [f"stride {one.number}: {deg:.0f}°" for one, deg in zip(strides, pitch_deg, strict=True)]
-    plot.points(start_s, pitch_deg, channel_color(channel.number), titles)
+    titles = [f"stride {one.number}: {deg:.0f}°" for one, deg in zip(strides, angle_deg, strict=True)]
+    plot.points(start_s, angle_deg, channel_color(channel.number), titles)
     for row in faults:
         plot.upright(row.time_s, CHANGE_COLOR, "fault")
     caption = f"As measured at each initial contact; the band is the tuning's target.{_faults(faults)}"
-    return [plot.figure(f"Foot pitch at contact and target, {channel.name}", caption)]
+    return [plot.figure(f"{name} at contact and target, {channel.name}", caption)]
 
 
 def _faults(faults: Sequence[TuningRow]) -> str:

@@ -32,7 +32,7 @@ LOST: Final = 0.25  # of what stimulation lifted the foot by is left at most …
 LIFTED: Final = 0.35  # … which was so many bands
 FELL: Final = 0.5  # bands, in every measure
 MORE: Final = 0.15  # of the bound: a loose electrode would have been made up for
-THEN: Final = 2  # strides, as many as a fault is told by
+THEN, NOW = 2, 5  # strides: as many as a fault is told by, and the newest that are held against them
 SHOULD: Final = 0.1  # bands that what was given since should have lifted the foot by, less a standard deviation …
 ANSWERED: Final = 0.1  # … of which so much has to come
 REACHED: Final = 3  # strides in a row within the targets: this foot answers, or needs nothing
@@ -124,11 +124,11 @@ class AnswerMonitor:
 
     def _in_vain_since_the_fault(self) -> bool:
         """Whether in no measure a fair part has come of what the response before the fault lets expect of it."""
-        if self._before is None or len(self._since) < THEN + LOST_STRIDES:
+        if self._before is None or len(self._since) < THEN + NOW:
             return False
         answered = []
         for name in self._since[0][1]:
-            then, now = self._since[:THEN], self._since[-LOST_STRIDES:]
+            then, now = self._since[:THEN], self._since[-NOW:]
             if name == ROLL or any(name not in levels for _, levels in (*then, *now)):
                 continue
             lift = median(levels[name] for _, levels in now) - min(levels[name] for _, levels in then)
@@ -161,7 +161,7 @@ class AnswerMonitor:
             if bare is not None and level - bare >= LIFTED and max(newest) - bare < LOST * (level - bare) and more:
                 return True
             fell.append(bare is None and level - max(newest) > FELL and (more or spent))
-        return bool(fell) and all(fell)
+        return len(fell) == len(drives) and all(fell)
 
     def _without(self, name: str) -> float | None:
         """The level without stimulation; None where too little was seen of it."""

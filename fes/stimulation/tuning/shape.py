@@ -35,7 +35,7 @@ WEAKEST_HOLD: Final = 0.5  # of the channel's own width: less would hardly reach
 REMEMBERED: Final = 5
 HELD_BACK: Final = 0.99  # of the own width: a hold below it can still be raised
 SPREAD: Final = 2  # bins beyond those that carry mid-swing: their pulses' first effect still reaches it
-LOWERED: Final = 1.0 / 3.0  # of what one stride may change, within the bands: raised at once, lowered in thirds
+LOWERED: Final = 0.2  # of what one stride may change, within the bands: raised at once, lowered by fifths
 
 
 @dataclass(frozen=True, slots=True)
