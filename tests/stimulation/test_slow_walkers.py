@@ -58,3 +58,21 @@ def test_stimulation_does_not_break_a_slow_gait(name: str) -> None:
         in_swing = [t_ns for t_ns in pulses_ns if begun_ns <= t_ns <= ended_ns]
         assert in_swing, f"stride {stride.number} had no burst"
         assert in_swing[-1] - begun_ns > STIMULATED * (ended_ns - begun_ns), f"stride {stride.number}: cut short"
+
+
+@pytest.mark.slow
+def test_the_toe_is_measured_in_mid_swing_where_stimulation_lets_foot_off_be_seen_early() -> None:
+    """A foot whose heel rises against a strong burst swings, for the phases, long before its toe leaves the ground."""
+    name = "hemiparetic_3"
+    settings, calibration, _ = patient(
+        SEED, lambda drawn: replace(drawn, pattern=name, speed_mps=PATTERNS[name].speed_mps)
+    )
+    session = session_of(VirtualPatient(settings).geometry["right_foot"], "fixed", 45.0)
+    done = walk(settings, session, calibration, 240.0, 20)
+    above_mm = []
+    for measured in done.measured:
+        if measured.t_loading_response_ns is not None:
+            true = min(done.strides, key=lambda one: abs(one.t_contact_ns - measured.t_loading_response_ns))
+            above_mm.append(1e3 * (measured.toe_clearance_m - true.toe_clearance_m))
+    assert len(above_mm) > 12
+    assert max(abs(each) for each in above_mm) < 15.0
