@@ -36,10 +36,14 @@ _VERDICT_OF_DATA: Final = "No fault found in the data"
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence: ``alert`` is what must be looked at before the numbers are used."""
+    """One sentence: ``alert`` is what must be looked at before the numbers are used.
+
+    ``leads``: it stands on the first page, right after what must be looked at.
+    """
 
     level: Level
     text: str
+    leads: bool = False
 
 
 def findings(summary: SessionSummary) -> tuple[Finding, ...]:
@@ -148,7 +152,7 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
         blamed = "".join(f"; at {row.time_s:.0f} s {_blame(row)}" for row in faults)
         went = _went(strides, channel.channel)
         text = f"{channel.name}: {went} {when}: {why}{blamed} ({count_of(len(changes), 'change')}"
-        yield Finding("info", f"{text}, {count_of(skipped, 'stride')} taught it nothing).")
+        yield Finding("info", f"{text}, {count_of(skipped, 'stride')} taught it nothing).", leads=True)
     else:
         yield Finding(
             "info", f"{channel.name}: tuning made no change; {count_of(skipped, 'stride')} taught it nothing."
@@ -285,11 +289,13 @@ def front_page(
 ) -> dict[str, Any]:
     """The worst level with its words, the first sentences and the others, cards, and the doses.
 
-    Sentences of alerts and warnings come first, in the order in which they were found.
+    Sentences of alerts and warnings come first, then what tuning made of each channel, each in the order in which they
+    were found.
     """
     every = (*findings(summary), *more, *flag_findings(flags, sensors))
     levels = list(_VERDICTS)
-    ordered = sorted(every, key=lambda finding: levels.index(finding.level))
+    calm = levels.index("good")
+    ordered = sorted(every, key=lambda one: calm - 0.5 if one.leads else levels.index(one.level))
     level: Level = ordered[0].level if ordered else "info"
     only_data = summary.kind == "analysis" and not summary.channels and level in ("good", "info")
     verdict = _VERDICT_OF_DATA if only_data else _VERDICTS[level]

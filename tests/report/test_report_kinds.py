@@ -20,7 +20,7 @@ from fes.cli.common.show import latched
 from fes.recording import Recording, write_recording
 from fes.recording.arrays import recording_from_arrays
 from fes.recording.chunks import Chunk, cut_into_chunks
-from fes.report.findings import findings
+from fes.report.findings import findings, front_page
 from fes.report.page import render_report
 from fes.report.summary import SessionSummary, summarise
 from fes.session_log import Note, SessionRecord, read_session
@@ -162,6 +162,9 @@ def test_tuning_has_its_place_and_a_stumble_is_not_nothing(tmp_path: Path) -> No
     assert told.startswith(f"{channel.name}: {peaks[0]:.1f} → {peaks[-1]:.1f} mA between strides ")
     assert "toe clearance" in told.split(": ", 2)[2]
     assert f"({changes} changes, " in told
+    first = [finding.text for finding in front_page(summary, {}, {})["first"]]
+    warnings = texts(summary, "alert", "warning")
+    assert first.index(told) == len(warnings) < len(first), "on the first page, after what must be looked at"
     assert any(text.startswith(f"{channel.name}, identified: threshold ") for text in texts(summary, "info"))
     stumbled = [stride.number for stride in walker.strides if stride.stumbled and stride.foot == channel.foot]
     assert stumbled, "this patient stumbles before it is tuned"
