@@ -10,7 +10,7 @@ import numpy as np
 from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
-from fes.report.stimulation import STILL, STOPPED, TuningRow
+from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, number, readable
@@ -142,7 +142,8 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
     own = [row for row in summary.tuning if row.channel == channel.channel]
     if not own:
         return
-    changes, skipped = [row for row in own if row.changes], sum(row.kind == "skip" for row in own)
+    skipped = sum(SKIPPED in row.text for row in own)
+    changes = [row for row in own if row.changes and SKIPPED not in row.text]
     faults = [row for row in own if row.kind == "fault"]
     strides = [row for row in summary.strides if any(i.channel == channel.channel for i in row.stimulation)]
     if changes and strides:
@@ -296,7 +297,7 @@ def front_page(
     levels = list(_VERDICTS)
     calm = levels.index("good")
     ordered = sorted(every, key=lambda one: calm - 0.5 if one.leads else levels.index(one.level))
-    level: Level = ordered[0].level if ordered else "info"
+    level: Level = min((finding.level for finding in every), key=levels.index, default="info")
     only_data = summary.kind == "analysis" and not summary.channels and level in ("good", "info")
     verdict = _VERDICT_OF_DATA if only_data else _VERDICTS[level]
     dose = {row.channel: row for row in summary.dose}

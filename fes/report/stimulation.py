@@ -29,9 +29,10 @@ SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
 STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
 STILL: Final = "still going back"
+SKIPPED: Final = " skipped: "  # the stride taught nothing
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
     "change": ("; even until this speed is known: ", "; the session's own settings there: "),
-    "skip": (" skipped: ",),
+    "skip": (SKIPPED,),
     "fault": ("something has changed that stimulation did not",),
     "identified": ("identified: ",),
     "suggestion": ("suggested: ",),
@@ -390,7 +391,7 @@ def tuning_lines(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[s
         times = f"{max(row.by_minute_mc, default=0.0):.2f} mC in the fullest minute, {row.session_mc:.2f} in all"
         lines.append(f"{row.name}: {steps}, {times}{' (estimated)' if row.estimated else ''}")
         changes = [each for each in own if each.changes]
-        skipped = sum(each.kind == "skip" for each in own)
+        skipped = sum(SKIPPED in each.text for each in own)
         last = f"; last at {changes[-1].time_s:.0f} s: {changes[-1].text}" if changes else ""
         lines.append(f"{row.name}: tuning made {len(changes)} changes, skipped {skipped} strides{last}")
     return lines

@@ -363,3 +363,42 @@ def test_a_foot_far_below_where_it_was_is_lost_though_nothing_is_known_of_it_wit
         assert answering.stride(reading(0.2, 0.3), drives, own, model, spent=False) == ""
     said = {answering.stride(reading(to, -0.4), drives, own, model, spent=spent) for _ in range(4)}
     assert (LIKE_NONE in said) == (to < 0.0 and spent)
+
+
+@pytest.mark.parametrize("bare", [0, 3])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("method", ["run_to_run", "learning"])
+def test_an_electrode_that_peels_off_slowly_stops_the_tuning_too(method: str, seed: int, bare: int) -> None:
+    done = begun(Foot(bare=-0.8, slope=2.5, seed=seed), method=method).walk(bare, stimulated=False).walk(20)
+    for _ in range(40):
+        done.foot.quality = max(done.foot.quality - 0.025, 0.0)
+        done.walk(1)
+    done.walk(40)
+    assert done.stopped
+    assert strength(done.tuner.parameters) <= strength(done.tuner.start)
+
+
+def test_a_fault_told_by_a_measure_that_was_never_seen_before_is_no_error() -> None:
+    tuner = Tuner(channel(tuning(pitch_at_contact_deg=PITCH)))
+    for number in range(30):
+        unseen = number < 13
+        toe_m, pitch_deg = (float("nan"), 8.0) if unseen else (0.012, -1.0 - 0.1 * number)
+        tuner.observe(number * SECOND, stride(number, toe_m, pitch_deg), charge_of(tuner.parameters), 1.0)
+
+
+def test_what_was_seen_before_a_person_looked_after_it_counts_no_more() -> None:
+    monitor, model = AnswerMonitor(), Doubts()
+    own = BurstParameters(30.0, 0.0, 0.0, (300.0,))
+
+    def walk(level: float, strides: int) -> set[str]:
+        reading = Reading((Measure("toe", 0.02 + 0.03 * level, Band(low=0.02, high=0.05), 1e3, "mm"),))
+        said = set()
+        for _ in range(strides):
+            model.add(reading, {"toe": 1.0})
+            said.add(monitor.stride(reading, {"toe": 1.0}, own, model, spent=True))
+        return said
+
+    walk(0.1, 3)
+    monitor.forget()
+    walk(0.1, 1)
+    assert NO_ANSWER in walk(-0.05, 16)

@@ -118,7 +118,7 @@ def test_back_at_a_speed_it_goes_on_with_what_was_right_there() -> None:
 
 @pytest.mark.parametrize("method", ["run_to_run", "learning"])
 def test_at_another_speed_the_burst_is_even_and_begins_as_the_session_says(method: str) -> None:
-    """What was learnt of its shape holds at the old speed; its strength does not rise."""
+    """What was learnt of its shape holds at the old speed; nowhere is it stronger than where it was strongest."""
     tuner = Tuner(channel(tuning(method=method, timing=True)))
     for number in range(6):
         tuner.observe(number, stride(number, 0.02), charge_of(tuner.parameters), 1.0)
@@ -135,6 +135,29 @@ def test_at_another_speed_the_burst_is_even_and_begins_as_the_session_says(metho
     tuner.freeze(6)
     tuner.observe(7, stride(7, 0.02, speed_mps=1.6), charge_of(now), 1.0)
     assert tuner.parameters == now
+
+
+@pytest.mark.parametrize(("charge_share", "intensity"), [(0.0, 1.0), (1.0, 0.0), (0.5, 0.5)])
+def test_a_burst_becomes_even_only_where_one_was_given_and_below_the_usual_intensity_only_up_to_the_sessions(
+    charge_share: float, intensity: float
+) -> None:
+    tuner = Tuner(channel(tuning(method="learning")))
+    for number in range(6):
+        tuner.observe(number, stride(number, 0.02), charge_of(tuner.parameters), 1.0)
+    own_us, count = tuner.start.widths_us[0], len(tuner.start.widths_us)
+    shaped = (own_us + 90.0, own_us, *(own_us - 90.0,) * (count - 2))
+    tuner.parameters = replace(tuner.parameters, widths_us=shaped)
+    charge_uc = charge_share * charge_of(tuner.parameters)
+    tuner.observe(6, stride(6, 0.02, speed_mps=1.0), charge_uc, intensity)
+    raised_us = tuner.tuning.max_change_us if charge_share * intensity > 0.0 else 0.0
+    assert tuner.parameters.widths_us == (shaped[0], own_us, *(own_us - 90.0 + raised_us,) * (count - 2))
+
+
+def test_what_is_walked_at_another_speed_is_not_kept_for_the_old_one() -> None:
+    memory = walked((0.6, 0.8))
+    memory.changed(1.0)
+    memory.keep(settings(1.4))
+    assert at(memory, 0.6) == pytest.approx(0.8)
 
 
 def test_on_stairs_what_was_learnt_is_put_away_after_two_strides_and_comes_back() -> None:

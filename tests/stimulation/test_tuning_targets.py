@@ -258,6 +258,20 @@ def test_two_strides_that_differ_from_each_other_are_no_new_speed(seen: StrideFi
     assert whys == [True, True, True, False, False]
 
 
+def test_two_strides_of_a_turn_are_no_new_speed(seen: StrideFilter) -> None:
+    for number in (4, 5):
+        assert "turned" in seen.why_skip(stride(number, 0.02, speed_mps=0.3, turn_rad=1.5), 270.0, 1.0)
+    assert seen.why_skip(stride(6, 0.02), 270.0, 1.0) == ""
+
+
+def test_however_little_a_stride_may_change_it_is_lowered() -> None:
+    tuned = tuning(method="learning", max_change_us=3.0)
+    shape = BurstShape(channel(tuned), tuned, 1.0)
+    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
+    after = shape.learnt(BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40), zones, 0.1, [0.5], [-1.0], 1.0, above=False)
+    assert after.widths_us[3] == pytest.approx(199.0)
+
+
 def test_strides_of_who_walks_slowly_differ_by_more_of_their_speed() -> None:
     filtered = StrideFilter(tuning(), 0.15)
     speeds_mps = (0.25, 0.25, 0.25, 0.25, 0.34, 0.17, 0.36)

@@ -50,8 +50,10 @@ STANCE_LEAD_S = 0.03  # rest is known this late
 DURATION_S = (0.4, 5.0)
 LEAST_SAMPLES = 10
 LONGEST_GAP_S = 0.04
-TOE_STANDS = 0.1  # of the swing: no toe that has left the ground stands for so long
-TOE_GONE = 0.05  # of the stride: by so much forward it has left
+TOE_STANDS = 0.25  # of the swing, from foot off on: no toe that has left the ground stands for so long
+TOE_GONE = 0.03  # of its way: by so much forward it has left
+TOE_LEFT = 0.1  # of its way still to go: it has as good as arrived
+LEAST_WAY_M = 0.1
 NEVER_NS = 2**63 - 1
 FORGOTTEN, NO_STRIDE_TIME, GAP = range(10, 13)  # what came of a stride that was not solved, beside the solution's words
 STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
@@ -325,9 +327,9 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
     stance to stance; NaN if unknown.
 
     Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
-    passes low once more before it rises for the contact. Where the toe still stands a tenth of the swing after its
+    passes low once more before it rises for the contact. Where the toe still stands a quarter of the swing after its
     entry, as of a slow foot whose push-off stimulation holds back, foot off is when it goes forward; where no contact
-    was seen, contact is when it has arrived.
+    was seen, contact is when it has as good as arrived.
     """
     off_ns = row.t_swing_ns
     contact_ns = row.t_stance_ns if row.t_loading_response_ns == UNSEEN_NS else row.t_loading_response_ns
@@ -350,8 +352,8 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
     )
     if swung:
         leaves_ns, arrives_ns = _toe_goes_ns(settings, t_ns, position, quaternion, toe_forward, toe_up)
-        if row.t_loading_response_ns == UNSEEN_NS:
-            contact_ns = max(arrives_ns, off_ns)
+        if row.t_loading_response_ns == UNSEEN_NS and arrives_ns > off_ns:
+            contact_ns = arrives_ns
         if leaves_ns - off_ns > TOE_STANDS * (contact_ns - off_ns) and leaves_ns < contact_ns:
             off_ns = leaves_ns
     begin, end = off_ns + 0.25 * (contact_ns - off_ns), off_ns + 0.8 * (contact_ns - off_ns)
@@ -377,23 +379,29 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
 
 @jit_ieee
 def _toe_goes_ns(settings: Any, t_ns: Any, position: Any, quaternion: Any, toe_forward: float, toe_up: float) -> Any:
-    """When the toe has gone forward by ``TOE_GONE`` of the stride for good, and when it has as far to go at most."""
-    last = t_ns.shape[0] - 1
-    length = math.hypot(position[last, 0], position[last, 1])
-    leaves_ns, arrives_ns = t_ns[0], t_ns[last]
+    """When the toe has gone forward by ``TOE_GONE`` of its way for good, and when it has ``TOE_LEFT`` to go at most;
+    the first sample for both where it hardly goes."""
+    n = t_ns.shape[0]
+    dx, dy = position[n - 1, 0], position[n - 1, 1]
+    length = math.hypot(dx, dy)
     if length <= 0.0:
-        return leaves_ns, arrives_ns
-    dx, dy, stood, arrived = position[last, 0] / length, position[last, 1] / length, 0.0, False
-    for i in range(last + 1):
+        return t_ns[0], t_ns[0]
+    along = np.empty(n)
+    for i in range(n):
         w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         fx, fy, _ = to_world(w, x, y, z, settings.forward_x, settings.forward_y, settings.forward_z)
         ux, uy, _ = to_world(w, x, y, z, settings.up_x, settings.up_y, settings.up_z)
-        along = dx * (position[i, 0] + toe_forward * fx + toe_up * ux)
-        along += dy * (position[i, 1] + toe_forward * fy + toe_up * uy)
-        if i == 0:
-            stood = along
-        if along - stood <= TOE_GONE * length:
-            leaves_ns = t_ns[i]
-        if not arrived and along - stood >= (1.0 - TOE_GONE) * length:
-            arrives_ns, arrived = t_ns[i], True
-    return leaves_ns, arrives_ns
+        forward = position[i, 0] + toe_forward * fx + toe_up * ux
+        aside = position[i, 1] + toe_forward * fy + toe_up * uy
+        along[i] = (dx * forward + dy * aside) / length
+    way = along[n - 1] - along[0]
+    if way <= LEAST_WAY_M:
+        return t_ns[0], t_ns[0]
+    leaves, arrives = 0, n - 1
+    for i in range(n):
+        gone = along[i] - along[0]
+        if gone <= TOE_GONE * way:
+            leaves = i
+        if arrives == n - 1 and gone >= (1.0 - TOE_LEFT) * way:
+            arrives = i
+    return t_ns[leaves], t_ns[arrives]

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from statistics import median
-from typing import Final
+from typing import Final, TypeAlias
 
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.guardrails import at_most, drive_of
@@ -30,13 +30,14 @@ LIFTS: Final = 0.25  # bands above the strides with the least stimulation: such 
 LOST_STRIDES: Final = 3
 LOST: Final = 0.25  # of what stimulation lifted the foot by is left at most …
 LIFTED: Final = 0.35  # … which was so many bands
-FELL: Final = 0.5  # bands, in every measure
+FELL, FAR = 0.4, 0.6  # bands, in every measure: with the bound spent, and with more than when last reached
 MORE: Final = 0.15  # of the bound: a loose electrode would have been made up for
-THEN, NOW = 2, 5  # strides: as many as a fault is told by, and the newest that are held against them
+NOW: Final = 5  # newest strides, held against those that a fault was told by
 SHOULD: Final = 0.1  # bands that what was given since should have lifted the foot by, less a standard deviation …
 ANSWERED: Final = 0.1  # … of which so much has to come
 REACHED: Final = 3  # strides in a row within the targets: this foot answers, or needs nothing
 
+_Stride: TypeAlias = tuple[Mapping[str, float], Mapping[str, float]]  # drives and levels
 NO_ANSWER: Final = "the foot does not answer to stronger stimulation"
 LIKE_NONE: Final = "the foot moves as it does without stimulation"
 
@@ -54,21 +55,27 @@ class AnswerMonitor:
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
         self._weakest: list[tuple[float, Mapping[str, float]]] = []  # the strides with the least drive
         self._before: ResponseModel | None = None  # the response before a fault …
-        self._since: list[tuple[Mapping[str, float], Mapping[str, float]]] = []  # … drives and levels from it on
+        self._then: list[_Stride] = []  # … the strides that it was told by …
+        self._now: deque[_Stride] = deque(maxlen=NOW)  # … and the newest since
 
     def forget(self) -> None:
         """A person is looking after it, or has: what was seen no longer holds, but for strides without stimulation."""
         self._run.clear()
         self._newest.clear()
         self._reached.clear()
-        self._has_answered = False
+        self._in_a_row, self._has_answered = 0, False
         self._weakest.clear()
         self._before = None
 
+    def other_walk(self) -> None:
+        """Another speed or ground: levels are not to be held against those reached before."""
+        self._reached.clear()
+
     def fault(self, before: ResponseModel, strides: Iterable[tuple[Reading, Mapping[str, float]]]) -> None:
-        """Something lowered the foot in these strides, the newest still to come; ``before`` is how it answered then."""
+        """Something lowered the foot in these strides; ``before`` is how it answered then."""
         self._before = before
-        self._since = [(drives, reading.levels) for reading, drives in list(strides)[:-1]]
+        self._then = [(drives, reading.levels) for reading, drives in strides]
+        self._now.clear()
 
     def add_bare(self, reading: Reading | str) -> None:
         """A stride in which nothing was delivered; one that could not be read says nothing."""
@@ -85,8 +92,7 @@ class AnswerMonitor:
         """
         drive = min(drives.values())
         self._newest.append(reading.levels)
-        if self._before is not None:
-            self._since.append((drives, reading.levels))
+        self._now.append((drives, reading.levels))
         self._weakest = sorted([*self._weakest, (drive, reading.levels)], key=itemgetter(0))[:BARE_NEEDED]
         if reading.level >= 0.0:
             self._run.clear()
@@ -99,7 +105,7 @@ class AnswerMonitor:
         self._run.append((drive, parameters, spent))
         if (not self._has_answered and self._in_vain(reading, drives, model)) or self._in_vain_since_the_fault():
             return NO_ANSWER
-        return LIKE_NONE if self._lost(drives, spent=spent) else ""
+        return LIKE_NONE if self._lost(reading.levels, drives) else ""
 
     def before(self, own: BurstParameters) -> BurstParameters:
         """The settings before the climb, the intensity at most the session's ``own``."""
@@ -124,12 +130,12 @@ class AnswerMonitor:
 
     def _in_vain_since_the_fault(self) -> bool:
         """Whether in no measure a fair part has come of what the response before the fault lets expect of it."""
-        if self._before is None or len(self._since) < THEN + NOW:
+        if self._before is None or len(self._now) < NOW:
             return False
-        answered = []
-        for name in self._since[0][1]:
-            then, now = self._since[:THEN], self._since[-NOW:]
-            if name == ROLL or any(name not in levels for _, levels in (*then, *now)):
+        answered, then, now = [], self._then, self._now
+        for name in then[0][1]:
+            missing = any(name not in levels for _, levels in (*then, *now))
+            if name == ROLL or missing or not self._before.knows(name):
                 continue
             lift = median(levels[name] for _, levels in now) - min(levels[name] for _, levels in then)
             drive = [median(drives[name] for drives, _ in part) for part in (then, now)]
@@ -151,17 +157,23 @@ class AnswerMonitor:
                 return True
         return False
 
-    def _lost(self, drives: Mapping[str, float], *, spent: bool) -> bool:
+    def _lost(self, levels: Mapping[str, float], drives: Mapping[str, float]) -> bool:
+        """Whether the newest strides lie where those without stimulation did, or, of a foot whose bound is spent, far
+        below where it was in every measure, though no less is given than when the targets were last reached."""
+        all_given = [spent for _, _, spent in list(self._run)[-LOST_STRIDES:]].count(True) == LOST_STRIDES
         fell = []
-        for name, (level, drive) in self._reached.items():
-            bare, newest = self._without(name), [levels[name] for levels in self._newest if name in levels]
-            if len(newest) < LOST_STRIDES or name not in drives:
-                return False
-            more = drives[name] >= drive + MORE
-            if bare is not None and level - bare >= LIFTED and max(newest) - bare < LOST * (level - bare) and more:
+        for name in levels:
+            newest = [levels[name] for levels in self._newest if name in levels]
+            if name not in self._reached or len(newest) < LOST_STRIDES:
+                fell.append(False)
+                continue
+            level, drive = self._reached[name]
+            bare, more = self._without(name), drives[name] >= drive + MORE
+            if bare is None:
+                fell.append(level - max(newest) > (FELL if all_given else FAR) and (more or all_given))
+            elif level - bare >= LIFTED and max(newest) - bare < LOST * (level - bare) and (more or all_given):
                 return True
-            fell.append(bare is None and level - max(newest) > FELL and (more or spent))
-        return len(fell) == len(drives) and all(fell)
+        return bool(fell) and all(fell)
 
     def _without(self, name: str) -> float | None:
         """The level without stimulation; None where too little was seen of it."""

@@ -39,7 +39,9 @@ class SpeedMemory:
         return other
 
     def keep(self, parameters: BurstParameters) -> None:
-        """These settings were right at the speed walked now."""
+        """These settings were right at the speed walked now, unless the newest stride was walked at another."""
+        if abs(self._newest_mps[-1] - self._walked_mps) > max(OTHER * self._walked_mps, STEP_MPS):
+            return
         key = round(self._walked_mps / STEP_MPS)
         self._right[key] = between(parameters, self._right.get(key, parameters), KEPT)
 

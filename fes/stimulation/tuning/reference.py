@@ -18,6 +18,7 @@ from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.targets import MID_SWING_BEGIN, PITCH, ROLL, SwingTimes, interpolate, times_ns
 
 BoolArray: TypeAlias = NDArray[np.bool_]
+STANDS_M: Final = 0.015  # below the least of mid-swing: the toe still stands there, foot off was seen too early
 ROLLED_FROM: Final = 0.6  # of the swing: from there on the foot turns to what it lands with
 
 
@@ -70,7 +71,10 @@ def _beside(
     if geometry is None:
         return np.zeros(int(inside.sum()))
     heights = toe_heights_m(stride, geometry)[inside]
-    return np.asarray((heights - heights.min()) / span)
+    least = heights.min()
+    if stride.toe_clearance_m - least > STANDS_M:
+        least = stride.toe_clearance_m
+    return np.asarray(np.maximum(heights - least, 0.0) / span)
 
 
 def toe_heights_m(stride: StrideResult, geometry: FootGeometry) -> FloatArray:

@@ -94,7 +94,7 @@ class Tuners:
             report = tuner.observe(t_ns, stride, charge_uc, intensity, others_changed) if tuner else None
             if report is not None:
                 reports.append(report)
-            if not stride.valid or (report is not None and report.kind == "skip"):
+            if not stride.valid or (report is not None and report.skipped):
                 continue
             toe_m = stride.toe_clearance_m
             hint = electrode.respond(toe_m if math.isfinite(toe_m) else stride.clearance_m, charge_uc, intensity)

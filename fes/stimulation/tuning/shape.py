@@ -26,7 +26,7 @@ from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
 from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, reason, room
-from fes.stimulation.tuning.guardrails import QUANTUM_MA, limited
+from fes.stimulation.tuning.guardrails import QUANTUM_MA, QUANTUM_US, limited
 from fes.stimulation.tuning.targets import Reading, SwingTimes, swing_times
 
 SIDE: Final = 0.15  # weight of each neighbour in Q
@@ -68,9 +68,9 @@ def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missi
 
     A foot that has been lifted has to be carried over: early pulses answer for what is left of mid-swing as well, not
     for the toe's height on its way there, which the knee gives it. Where mid-swing is short of anything, nothing that
-    reaches it falls: what one bin cannot give for its bound, its neighbours hold. ``missing`` (N,) is what the samples
-    at ``times_s`` (N,) since entry into pre-swing are short of; those before the first and beyond the last answer for
-    the bins that reach none.
+    reaches it is asked for less: what one bin cannot give for its bound, its neighbours hold. ``missing`` (N,) is what
+    the samples at ``times_s`` (N,) since entry into pre-swing are short of; those before the first and beyond the last
+    answer for the bins that reach none.
     """
     found, carried_s = [], 0.0 if zones.times is None else zones.times.middle_s
     short = any(m > 0.0 for t, m in zip(times_s, missing, strict=True) if t <= carried_s)
@@ -165,7 +165,8 @@ class BurstShape:
         ``above``: whether a measure lies above its band, so that all that is too much may go at once.
         """
         per_drive_us = self._channel.pulse_width_us * self._most / intensity
-        least_us = -self._tuning.max_change_us * (1.0 if above else LOWERED)
+        most_us = self._tuning.max_change_us
+        least_us = -most_us if above else -max(LOWERED * most_us, min(QUANTUM_US, most_us))
         drives = missing_drives(zones, delay_s, times_s, missing)
         steps_us = [max(per_drive_us * step, least_us) for step in drives]
         return replace(base, widths_us=tuple(next_profile(base.widths_us, steps_us)))

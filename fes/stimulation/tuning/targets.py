@@ -120,11 +120,7 @@ class StrideFilter:
         if end_ns is not None and stride.t_end_ns <= end_ns:
             return "it is no newer than the stride before"
         usual_mps = median(self._speeds) if self._speeds else stride.speed_mps
-        other, before_mps = _other_speed(stride.speed_mps, usual_mps), self._other_mps
-        self._other_mps = stride.speed_mps if other else None
-        if other and before_mps is not None and not _other_speed(stride.speed_mps, before_mps):
-            self._speeds.clear()  # two in a row: this is the speed now
-            other, self._other_mps = False, None
+        before_mps, self._other_mps = self._other_mps, None
         self._speeds.append(stride.speed_mps)
         if end_ns is None or stride.t_start_ns - end_ns > STOP_S * NS_PER_S:
             self._speeds.clear()
@@ -137,10 +133,14 @@ class StrideFilter:
             return "a person changed the ground meanwhile"  # before its rise would count as a stair's, or as usual
         if uneven := self._ground.unusual(stride):
             return uneven
-        if other:
-            return f"{OTHER_SPEED} from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
         if self._changed_ns is not None and self._changed_ns >= stride.t_start_ns:
             return "a person changed the stimulation meanwhile"
+        if _other_speed(stride.speed_mps, usual_mps):
+            if before_mps is None or _other_speed(stride.speed_mps, before_mps):
+                self._other_mps = stride.speed_mps
+                return f"{OTHER_SPEED} from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
+            self._speeds.clear()  # two in a row: this is the speed now
+            self._speeds.append(stride.speed_mps)
         if charge_uc <= 0.0 or drive <= 0.0:
             return NO_CHARGE
         relative = charge_uc / (drive * ((stride.t_end_ns - stride.t_start_ns) / NS_PER_S))

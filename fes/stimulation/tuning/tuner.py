@@ -64,6 +64,11 @@ class TuningReport:
     after: BurstParameters
 
     @property
+    def skipped(self) -> bool:
+        """Whether its stride taught nothing, though the settings may have changed for it."""
+        return " skipped: " in self.text
+
+    @property
     def severity(self) -> str:
         """For the session log."""
         return "warning" if self.kind in ("hint", "roll_back", "fault") else "info"
@@ -177,6 +182,7 @@ class Tuner:
         self._by_ground[self._ground] = self._returning or self._even or self.parameters, self.memory
         known = self._by_ground.get(incline, (self.start, SpeedMemory()))
         self._ground, self.memory = incline, known[1]
+        self._answers.other_walk()
         if self.tuning.mode == "act" and not self.frozen:
             self._even, self._climb = known[0], None
             self.model.shake()
@@ -239,7 +245,7 @@ class Tuner:
         if stopped and self._returning is not None and (report := self._still_returning(t_ns)):
             return report  # it has stopped itself: whatever the stride was like, less is on the way
         if why:
-            return self._on_skip(t_ns, stride, why)
+            return self._on_skip(t_ns, stride, why, intensity if charge_uc > 0.0 else 0.0)
         self._uneven = 0
         if why := jolted(stride):
             return self._on_jolt(t_ns, stride, why)
@@ -257,8 +263,11 @@ class Tuner:
             self.faults.forget()
         fault = self.faults.stride(reading, drives, self.model)
         self._spared = SPARED if fault else max(self._spared - 1, 0)
+        if other_speed:
+            self._answers.other_walk()
         if fault:
-            self._answers.fault(self.faults.before, self.faults.strides)
+            if not self.frozen:
+                self._answers.fault(self.faults.before, self.faults.strides)
             self.memory.forget()
             self._by_ground.clear()
         if fault or other_speed:
@@ -308,10 +317,11 @@ class Tuner:
         if not isinstance(reading, str):
             self.model.add(reading, dict.fromkeys(reading.levels, 0.0))
 
-    def _on_skip(self, t_ns: int, stride: StrideResult, why: str) -> TuningReport:
+    def _on_skip(self, t_ns: int, stride: StrideResult, why: str, given: float) -> TuningReport:
         """On stairs and slopes that the session does not say, its own settings; what was learnt waits meanwhile.
 
-        At another speed the burst becomes even, for what was learnt of its shape holds at the old one.
+        At another speed the burst becomes even, for what was learnt of its shape holds at the old one. ``given`` is the
+        intensity that the stride was stimulated at, 0 for not at all.
         """
         self.delay.forget_last()
         text, before, what = f"stride {stride.number} skipped: {why}", self.parameters, ""
@@ -321,8 +331,10 @@ class Tuner:
                 if self._even is None:
                     self._even = before
                 self.parameters, what = limited(before, self.start, self.tuning), "the session's own settings there"
-            elif OTHER_SPEED in why and self._even is None and self._returning is None:
+            elif OTHER_SPEED in why and given > 0.0 and self._even is None and self._returning is None:
                 even = self._shape.even(before)
+                if given < self._usual_intensity:  # with the intensity up again it would be more than the session's
+                    even = at_most(even, at_least(before, self.start))
                 self.parameters = replace(limited(before, even, self.tuning), start_delay_s=even.start_delay_s)
                 what = "even until this speed is known"
         changes = difference(before, self.parameters)
