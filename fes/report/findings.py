@@ -23,6 +23,7 @@ REFUSED_BY_CHOICE: Final = ("not armed", "emergency stop")  # a person had not a
 _WALKING: Final = "walking_s", "unexplained_s"  # of a foot
 MOST_NAMED: Final = 6
 LEAST_STEP_MA: Final = 0.5
+LOOK_AT_IT: Final = "; look at it"  # what the tuning did in the same stride follows
 TOE_SD_CM: Final = 0.6  # of the toe's clearance against optical markers, where the toe is known: docs/accuracy.md
 FIRST = 6  # sentences on the first page; the rest stand further down
 _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
@@ -147,10 +148,11 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
     faults = [row for row in own if row.kind == "fault"]
     strides = [row for row in summary.strides if any(i.channel == channel.channel for i in row.stimulation)]
     if changes and strides:
-        first, last = (_stride_before(edge.time_s, strides) for edge in (changes[0], changes[-1]))
+        moved = [row for row in changes if (", current " in row.text or ": current " in row.text)] or changes
+        first, last = (_stride_before(edge.time_s, strides) for edge in (moved[0], moved[-1]))
         when = f"between strides {first} and {last}" if last > first else f"at stride {first}"
         why = changes[0].text.split(": current")[0].split(": pulse width")[0]
-        blamed = "".join(f"; at {row.time_s:.0f} s {_blame(row)}" for row in faults)
+        blamed = "".join(f"; noticed at {row.time_s:.1f} s: {_blame(row)}" for row in faults)
         went = _went(strides, channel.channel)
         text = f"{channel.name}: {went} {when}: {why}{blamed} ({count_of(len(changes), 'change')}"
         yield Finding("info", f"{text}, {count_of(skipped, 'stride')} taught it nothing).", leads=True)
@@ -167,7 +169,8 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
     for rows, what in told:
         if rows:
             often = f" {count_of(len(rows), 'time')}, first" if len(rows) > 1 else ""
-            text = f"{channel.name}: tuning {what}{often} at {rows[0].time_s:.1f} s: {rows[0].text}."
+            said = rows[0].text.split(LOOK_AT_IT)[0] + (LOOK_AT_IT if LOOK_AT_IT in rows[0].text else "")
+            text = f"{channel.name}: tuning {what}{often} at {rows[0].time_s:.1f} s: {said}."
             yield Finding("warning", text)
 
 
@@ -182,7 +185,7 @@ def _went(strides: Sequence[StrideRow], channel: int) -> str:
 
 def _blame(fault: TuningRow) -> str:
     """What most likely happened, without what was done about it."""
-    return fault.text.split("most likely ")[-1].split(";")[0].split(":")[0] + " changed"
+    return fault.text.split("most likely ")[-1].split(";")[0].split(":")[0] + " had changed"
 
 
 def _stride_before(time_s: float, rows: Sequence[StrideRow]) -> int:

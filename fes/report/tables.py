@@ -151,7 +151,12 @@ def closing_block(summary: SessionSummary) -> RenderableType:
     if len(look) > CLOSING_FINDINGS:
         lines.append(Text(f"  and {len(look) - CLOSING_FINDINGS} more to look at in the report"))
     if not summary.faults:
-        lines.append(Text("✓ no fault" + ("" if look else ", nothing to look at"), style="green"))
+        lines.append(
+            Text(
+                "✓ no fault of sensors, stimulator or software" + ("" if look else ", nothing to look at"),
+                style="green",
+            )
+        )
     return Group(*lines)
 
 

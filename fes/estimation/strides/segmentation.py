@@ -53,7 +53,7 @@ LONGEST_GAP_S = 0.04
 TOE_STANDS = 0.25  # of the swing, from foot off on: no toe that has left the ground stands for so long
 TOE_GONE = 0.03  # of its way: by so much forward it has left
 TOE_LEFT = 0.1  # of its way still to go: it has as good as arrived
-LEAST_WAY_M = 0.1
+LEAST_TRAVEL_M = 0.1
 NEVER_NS = 2**63 - 1
 FORGOTTEN, NO_STRIDE_TIME, GAP = range(10, 13)  # what came of a stride that was not solved, beside the solution's words
 STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
@@ -395,7 +395,7 @@ def _toe_goes_ns(settings: Any, t_ns: Any, position: Any, quaternion: Any, toe_f
         aside = position[i, 1] + toe_forward * fy + toe_up * uy
         along[i] = (dx * forward + dy * aside) / length
     way = along[n - 1] - along[0]
-    if way <= LEAST_WAY_M:
+    if way <= LEAST_TRAVEL_M:
         return t_ns[0], t_ns[0]
     leaves, arrives = 0, n - 1
     for i in range(n):
