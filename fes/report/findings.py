@@ -152,6 +152,8 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
         first, last = (_stride_before(edge.time_s, strides) for edge in (moved[0], moved[-1]))
         when = f"between strides {first} and {last}" if last > first else f"at stride {first}"
         why = changes[0].text.split(": current")[0].split(": pulse width")[0]
+        measured, of_stride, _ = why.partition(" in this stride")
+        why = f"at first {measured}" if of_stride else why
         blamed = "".join(f"; noticed at {row.time_s:.1f} s: {_blame(row)}" for row in faults)
         went = _went(strides, channel.channel)
         text = f"{channel.name}: {went} {when}: {why}{blamed} ({count_of(len(changes), 'change')}"
