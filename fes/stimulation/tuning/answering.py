@@ -30,7 +30,7 @@ LIFTS: Final = 0.25  # bands above the strides with the least stimulation: such 
 LOST_STRIDES: Final = 3
 LOST: Final = 0.25  # of what stimulation lifted the foot by is left at most …
 LIFTED: Final = 0.35  # … which was so many bands
-FELL, FAR = 0.4, 0.6  # bands, in every measure: with the bound spent, and with more than when last reached
+FELL, FAR = 0.5, 0.6  # bands, in every measure: with the bound spent, and with more than when last reached
 MORE: Final = 0.15  # of the bound: a loose electrode would have been made up for
 NOW: Final = 5  # newest strides, held against those that a fault was told by
 SHOULD: Final = 0.1  # bands that what was given since should have lifted the foot by, less a standard deviation …
@@ -48,7 +48,7 @@ class AnswerMonitor:
     def __init__(self) -> None:
         # drive, settings and whether the bound was spent, since the targets were last reached
         self._run: deque[tuple[float, BurstParameters, bool]] = deque(maxlen=16)
-        self._reached: dict[str, tuple[float, float]] = {}  # level and drive when the targets were last reached
+        self._reached: deque[_Stride] = deque(maxlen=REACHED)  # that last reached the targets
         self._in_a_row = 0  # strides that reached them
         self._has_answered = False
         self._newest: deque[Mapping[str, float]] = deque(maxlen=LOST_STRIDES)
@@ -96,7 +96,7 @@ class AnswerMonitor:
         self._weakest = sorted([*self._weakest, (drive, reading.levels)], key=itemgetter(0))[:BARE_NEEDED]
         if reading.level >= 0.0:
             self._run.clear()
-            self._reached = {name: (level, drives[name]) for name, level in reading.levels.items()}
+            self._reached.append((drives, reading.levels))
             self._in_a_row += 1
             if self._in_a_row >= REACHED:
                 self._has_answered, self._before = True, None
@@ -164,10 +164,11 @@ class AnswerMonitor:
         fell = []
         for name in levels:
             newest = [levels[name] for levels in self._newest if name in levels]
-            if name not in self._reached or len(newest) < LOST_STRIDES:
+            reached = [(levels[name], drives[name]) for drives, levels in self._reached if name in levels]
+            if len(reached) < REACHED or len(newest) < LOST_STRIDES:
                 fell.append(False)
                 continue
-            level, drive = self._reached[name]
+            level, drive = (median(each) for each in zip(*reached, strict=True))
             bare, more = self._without(name), drives[name] >= drive + MORE
             if bare is None:
                 fell.append(level - max(newest) > (FELL if all_given else FAR) and (more or all_given))
