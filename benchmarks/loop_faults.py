@@ -128,9 +128,7 @@ def suffer(
         for one in done.measured
         if fault.spoils_s and one.t_start_ns < spoilt_ns and (one.t_swing_ns or one.t_end_ns) >= begun_ns
     ]
-    learnt = [
-        one for one in done.reports if one.kind in LEARNT and "skipped" not in one.text and _of_bad(one, bad_ends)
-    ]
+    learnt = [one for one in done.reports if one.kind in LEARNT and not one.skipped and _of_bad(one, bad_ends)]
     # what came of the last good stride is told before the first bad one ends
     before_ma = _current(done.reports, min(bad_ends, default=at_ns), start_ma)
     end_ma = _current(done.reports, 1 << 62, start_ma)

@@ -147,7 +147,7 @@ class Tuner:
         self.memory = SpeedMemory()
         self._spared = 0  # strides in which nothing is lowered, for a fault was found
         self._returning: BurstParameters | None = None
-        self._even: BurstParameters | None = None  # what was learnt on this ground, while it is put away
+        self._put_away: BurstParameters | None = None  # what was learnt on this ground, while it is put away
         self._ground = incline
         self._by_ground: dict[float | None, tuple[BurstParameters, SpeedMemory]] = {}  # what was right on others
         self._climb: BurstParameters | None = None  # the weakest settings since it was last lowered
@@ -179,18 +179,18 @@ class Tuner:
         self._filter.ground_changed(t_ns, free=incline is None)
         if incline == self._ground:
             return
-        self._by_ground[self._ground] = self._returning or self._even or self.parameters, self.memory
+        self._by_ground[self._ground] = self._returning or self._put_away or self.parameters, self.memory
         known = self._by_ground.get(incline, (self.start, SpeedMemory()))
         self._ground, self.memory = incline, known[1]
         self._answers.other_walk()
         if self.tuning.mode == "act" and not self.frozen:
-            self._even, self._climb = known[0], None
+            self._put_away, self._climb = known[0], None
             self.model.shake()
 
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending = why, None
-        self._returning = self._even = None  # what was in force before does not come back by itself
+        self._returning = self._put_away = None  # what was in force before does not come back by itself
         self._by_ground.clear()
         self._answers.forget()
         self.memory.forget()
@@ -303,8 +303,8 @@ class Tuner:
             return report
         if self.frozen:
             return None
-        if self._even is not None:
-            self._returning, self._even = self._even, None
+        if self._put_away is not None:
+            self._returning, self._put_away = self._put_away, None
             return self._still_returning(t_ns)
         if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
             return report
@@ -328,10 +328,10 @@ class Tuner:
         self._uneven = self._uneven + 1 if UNEVEN_GROUND in why else 0
         if self.tuning.mode == "act" and not self.frozen:
             if self._uneven >= UNEVEN:
-                if self._even is None:
-                    self._even = before
+                if self._put_away is None:
+                    self._put_away = before
                 self.parameters, what = limited(before, self.start, self.tuning), "the session's own settings there"
-            elif OTHER_SPEED in why and given > 0.0 and self._even is None and self._returning is None:
+            elif OTHER_SPEED in why and given > 0.0 and self._put_away is None and self._returning is None:
                 even = self._shape.even(before)
                 if given < self._usual_intensity:  # with the intensity up again it would be more than the session's
                     even = at_most(even, at_least(before, self.start))
