@@ -50,8 +50,8 @@ STANCE_LEAD_S = 0.03  # rest is known this late
 DURATION_S = (0.4, 5.0)
 LEAST_SAMPLES = 10
 LONGEST_GAP_S = 0.04
-TOE_STANDS = 0.25  # of the swing, from foot off on: no toe that has left the ground stands for so long
-TOE_GONE = 0.03  # of its way: by so much forward it has left
+TOE_STANDS = 0.1  # of the swing, from foot off on: no toe that has left the ground stands for so long
+TOE_GONE = 0.02  # of its way: by so much forward it has left
 TOE_LEFT = 0.1  # of its way still to go: it has as good as arrived
 LEAST_TRAVEL_M = 0.1
 NEVER_NS = 2**63 - 1
@@ -327,7 +327,7 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
     stance to stance; NaN if unknown.
 
     Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
-    passes low once more before it rises for the contact. Where the toe still stands a quarter of the swing after its
+    passes low once more before it rises for the contact. Where the toe still stands a tenth of the swing after its
     entry, as of a slow foot whose push-off stimulation holds back, foot off is when it goes forward; where no contact
     was seen, contact is when it has as good as arrived.
     """
