@@ -165,16 +165,6 @@ def test_the_measure_that_needs_the_greatest_drive_leads() -> None:
     assert second.drive <= room((first, second)) < 1.0  # the toe would leave its band above
 
 
-def test_a_stride_far_below_what_was_expected_is_acted_upon_at_once() -> None:
-    foot = Ramp(10, 0.4, {PITCH: 2.0}, bare=-0.2).walk(*SEARCH)
-    usual, seen = foot.model.expected(PITCH, 0.6).value, -0.5
-    foot.model.add(reading({PITCH: seen}), {PITCH: 0.6})
-    (demand,) = demands_of(foot.model, reading({PITCH: seen}), {PITCH: 0.6})
-    assert usual > demand.aim
-    assert demand.error == pytest.approx(demand.aim - seen)
-    assert demand.step == pytest.approx((demand.aim - seen) / 2.0, abs=0.1)
-
-
 # --- the delay -----------------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ import pytest
 from tuning_plant import channel, stride, tuning
 
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.shape import SPREAD, BurstShape, Zones, missing_drives, next_profile, zones_of
+from fes.stimulation.tuning.shape import BurstShape, Zones, missing_drives, next_profile, zones_of
 from fes.stimulation.tuning.targets import (
     GroundWatch,
     Reading,
@@ -89,38 +89,29 @@ def test_the_swing_is_parted_where_the_toe_has_passed_low() -> None:
     assert (late.middle, late.reached) == (0, 0)
 
 
-def test_each_bin_answers_for_the_samples_that_its_pulses_reach() -> None:
+def test_each_bin_answers_for_the_sample_a_delay_after_its_pulses() -> None:
     zones = Zones(6, 12, 0.1)
     times_s = [0.02 * k for k in range(20, 40)]  # 0.4 … 0.78 s
-    missing = [0.3 if 0.5 <= t < 0.53 else -0.1 for t in times_s]
+    missing = [0.3 if t > 0.52 else -0.1 for t in times_s]
     for delay_s in (0.08, 0.16):
         found = missing_drives(zones, delay_s, times_s, missing)
         assert len(found) == zones.reached
         for k, drive in enumerate(found):
-            first_s = 0.1 + 0.05 * (k + 0.5) + delay_s  # of its pulses' force, which lasts 0.2 s
-            assert drive == (0.3 if first_s <= 0.52 and first_s + 0.2 >= 0.5 else -0.1), k
+            at_s = 0.1 + 0.05 * (k + 0.5) + delay_s
+            assert drive == pytest.approx(np.interp(at_s, times_s, missing)), k
     assert missing_drives(zones, 0.1, [2.0], [0.2]) == [0.2] * 12  # who reaches nothing goes with the nearest
 
 
 def test_early_pulses_answer_for_all_that_is_left_of_mid_swing() -> None:
-    """A toe that is high on its way needs no less to be carried over where it comes low."""
+    """A toe that is high on its way needs no less to be carried over where it comes low; later pulses are contact's."""
     zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
     times_s = [0.02 * k for k in range(20, 40)]
     low_in_mid_swing = [0.3 if 0.58 <= t < 0.59 else -0.1 for t in times_s]
-    low_at_contact = [0.3 if 0.74 <= t < 0.75 else -0.1 for t in times_s]
-    assert missing_drives(zones, 0.1, times_s, low_in_mid_swing) == [0.3] * 8 + [-0.1] * 4
-    assert missing_drives(zones, 0.1, times_s, [-0.1] * len(times_s)) == [-0.1] * 12
-    assert missing_drives(zones, 0.1, times_s, low_at_contact) == [-0.1] * 7 + [0.3] * 4 + [-0.1]
-
-
-def test_while_mid_swing_is_short_nothing_that_reaches_it_falls() -> None:
-    """What the bins before cannot give for their bound, these hold."""
-    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
-    times_s = [0.02 * k for k in range(20, 40)]
-    low_early = [0.3 if t < 0.41 else -0.1 for t in times_s]
-    found = missing_drives(zones, 0.1, times_s, low_early)
-    assert found[: 6 + SPREAD] == [0.3] * 4 + [0.0] * 4
-    assert found[6 + SPREAD :] == [-0.1] * 4
+    low_at_contact = [0.3 if t > 0.73 else -0.1 for t in times_s]
+    assert missing_drives(zones, 0.1, times_s, low_in_mid_swing) == pytest.approx([0.3] * 8 + [-0.1] * 4)
+    assert missing_drives(zones, 0.1, times_s, [-0.1] * len(times_s)) == pytest.approx([-0.1] * 12)
+    found = missing_drives(zones, 0.1, times_s, low_at_contact)
+    assert found == pytest.approx([-0.1] * 10 + [0.0, 0.3])  # at 0.725 s, between a sample that is and one that is not
 
 
 @pytest.mark.parametrize("above", [False, True])

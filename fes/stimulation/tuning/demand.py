@@ -1,8 +1,7 @@
 """What each measure asks for, by the identified response: where its level should lie, and the drive that it takes.
 
 The less the strides differ, the nearer the aim lies to the low end of the band, for what is not needed is charge and
-fatigue. The measure whose drive is the greatest leads. A stride far below all that was expected, and below the band, is
-acted upon at once: it may be no chance.
+fatigue. The measure whose drive is the greatest leads.
 """
 
 import math
@@ -18,7 +17,6 @@ LEAST_AIM: Final = 0.42  # a toe's height is known to some millimetres only, …
 LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two; …
 LEAST_AIM_ROLL: Final = 0.35  # … and of roll either side is as wrong
 GREATEST_AIM: Final = 0.60
-SUDDEN_SDS: Final = 2.5  # below what was expected and below the band: acted upon at once, it may be no chance
 DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
 DEAD_ABOVE: Final = 0.03  # above it, where more is only charge
 
@@ -57,14 +55,11 @@ def demands_of(model: ResponseModel, reading: Reading, drives: Mapping[str, floa
         if name == ROLL:
             least = LEAST_AIM_ROLL
         aim = min(max(SAFE_SDS * noise, least), GREATEST_AIM)
-        level = aim
-        if measure.level < min(0.0, usual - SUDDEN_SDS * noise):
-            level, usual = aim + usual - measure.level, measure.level  # as if the whole line lay lower by that
         error = aim - usual
         if -DEAD_ABOVE <= error <= DEAD:
             error = 0.0
         most = model.least_drive(name, 1.0 - SAFE_SDS * noise) if usual < 1.0 - SAFE_SDS * noise else drive
-        demands.append(Demand(measure, usual, error, aim, noise, drive, model.least_drive(name, level), most))
+        demands.append(Demand(measure, usual, error, aim, noise, drive, model.least_drive(name, aim), most))
     return tuple(sorted(demands, key=lambda demand: -demand.step))
 
 

@@ -10,8 +10,8 @@ until the end, as strong as the pitch at contact needs, never stronger than the 
 
 after Seel, Werner, Raisch & Schauer, *Control Engineering Practice* 48 (2016). ``e[k]`` is what each sample of the last
 swing is short of its reference: the toe's height in mid-swing, foot pitch (or roll) where contact comes. ``G⁻¹`` turns
-it into drive by the identified response (threshold and slope), ``d`` is the identified delay from pulse to movement,
-and a pulse answers for all the samples that its force reaches, before the end of mid-swing for all that is left of it.
+it into drive by the identified response (threshold and slope), ``d`` is the identified delay from pulse to movement;
+before the end of mid-swing a pulse answers for all that is left of it.
 The swing's length varies, so only what the last swing reached is updated (variable pass length). Q averages over
 neighbours, no greater than 1 at any frequency.
 """
@@ -27,14 +27,12 @@ from fes.signals import StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
 from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, reason, room
 from fes.stimulation.tuning.guardrails import QUANTUM_MA, QUANTUM_US, limited
-from fes.stimulation.tuning.targets import Reading, SwingTimes, swing_times
+from fes.stimulation.tuning.targets import Reading, SwingTimes, interpolate, swing_times
 
 SIDE: Final = 0.15  # weight of each neighbour in Q
-FORCE_LASTS_S: Final = 0.20  # a pulse's twitch, from its first effect on
 WEAKEST_HOLD: Final = 0.5  # of the channel's own width: less would hardly reach the muscle
 REMEMBERED: Final = 5
 HELD_BACK: Final = 0.99  # of the own width: a hold below it can still be raised
-SPREAD: Final = 2  # bins beyond those that carry mid-swing: their pulses' first effect still reaches it
 LOWERED: Final = 0.2  # of what one stride may change, within the bands: raised at once, lowered by fifths
 
 
@@ -64,22 +62,17 @@ def zones_of(times: SwingTimes, burst_s: float, delay_s: float, bins: int) -> Zo
 
 
 def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missing: Sequence[float]) -> list[float]:
-    """What each bin reached is short of, in drive: the most of all samples that its pulses' force reaches.
+    """What each bin reached is short of, in drive: what the sample is that its pulses first move, a delay later.
 
-    A foot that has been lifted has to be carried over: early pulses answer for what is left of mid-swing as well, not
-    for the toe's height on its way there, which the knee gives it. Where mid-swing is short of anything, nothing that
-    reaches it is asked for less: what one bin cannot give for its bound, its neighbours hold. ``missing`` (N,) is what
-    the samples at ``times_s`` (N,) since entry into pre-swing are short of; those before the first and beyond the last
-    answer for the bins that reach none.
+    A foot that has been lifted has to be carried over: a pulse before the end of mid-swing answers for the most of all
+    that is left of it, not for the toe's height on its way there, which the knee gives it. ``missing`` (N,) is what the
+    samples at ``times_s`` (N,) since entry into pre-swing are short of; the first and the last answer beyond them.
     """
     found, carried_s = [], 0.0 if zones.times is None else zones.times.middle_s
-    short = any(m > 0.0 for t, m in zip(times_s, missing, strict=True) if t <= carried_s)
     for k in range(zones.reached):
-        begin_s = zones.burst_s + (k + 0.5) * BIN_S + delay_s
-        end_s = max(begin_s + FORCE_LASTS_S, carried_s)
-        inside = [m for t, m in zip(times_s, missing, strict=True) if begin_s <= t <= end_s]
-        asked = max(inside) if inside else missing[0 if begin_s < times_s[0] else -1]
-        found.append(max(asked, 0.0) if short and k < zones.middle + SPREAD else asked)
+        at_s = zones.burst_s + (k + 0.5) * BIN_S + delay_s
+        left = [m for t, m in zip(times_s, missing, strict=True) if at_s <= t <= carried_s]
+        found.append(max(left) if left else interpolate(at_s, times_s, missing))
     return found
 
 
