@@ -27,7 +27,7 @@ from fes.signals import (
     Tick,
 )
 from fes.simulation.forward import DeliveredPulse, Harm, PatientSettings, VirtualPatient, VirtualStride, harm_of
-from fes.stimulation.tuning.tuner import TuningReport
+from fes.stimulation.tuning.report import TuningReport
 from statemachine.phases import Transition
 
 STEP_NS = 10_000_000

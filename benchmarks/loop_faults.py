@@ -27,7 +27,7 @@ from fes.config import Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.signals import NS_PER_S
 from fes.simulation.forward import PatientSettings, VirtualPatient
-from fes.stimulation.tuning.tuner import TuningReport
+from fes.stimulation.tuning.report import TuningReport
 
 BEGIN, END = "<!-- loop faults: benchmarks/loop_faults.py -->", "<!-- end of loop faults -->"
 BEFORE_STRIDES, STRIDES, SECONDS = 15, 34, 200.0

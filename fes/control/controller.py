@@ -24,8 +24,8 @@ from fes.signals import (
     Tick,
 )
 from fes.stimulation.plan import BY_HAND_NS, StimulationPlan
+from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
-from fes.stimulation.tuning.tuner import TuningReport
 from fes.stimulation.walking import SwitchFallback, WalkingJudge
 from statemachine.phases import Phase, PhaseChange
 

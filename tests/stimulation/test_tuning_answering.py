@@ -14,11 +14,12 @@ from fes.config import Session as Settings
 from fes.signals import OperatorAct, OperatorAction
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, AnswerMonitor
+from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.response import Known, ResponseModel
 from fes.stimulation.tuning.session import Tuners
 from fes.stimulation.tuning.targets import PITCH as TOE_UP
 from fes.stimulation.tuning.targets import Measure, Reading
-from fes.stimulation.tuning.tuner import Tuner, TuningReport
+from fes.stimulation.tuning.tuner import Tuner
 
 SECOND = 1_000_000_000
 PITCH = {"low": 4.0, "high": 25.0}

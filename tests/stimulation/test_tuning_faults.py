@@ -14,7 +14,7 @@ from fes.config import Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.signals import NS_PER_S
 from fes.simulation.forward import PatientSettings, VirtualPatient
-from fes.stimulation.tuning.tuner import TuningReport
+from fes.stimulation.tuning.report import TuningReport
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

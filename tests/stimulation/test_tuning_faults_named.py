@@ -11,9 +11,10 @@ from tuning_plant import Plant, channel, charge_of, stride, tuning
 
 from fes.config import Band
 from fes.stimulation.tuning.faults import ELECTRODE, KNOWN, MOUNTING, PERSON, FaultWatch
+from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.targets import PITCH, ROLL, Measure, Reading
-from fes.stimulation.tuning.tuner import Tuner, TuningReport
+from fes.stimulation.tuning.tuner import Tuner
 
 TOE = "toe clearance"
 BAND = Band(low=0.0, high=1.0)

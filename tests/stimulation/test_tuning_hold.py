@@ -12,9 +12,10 @@ from fes.config import Band
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import Demand
 from fes.stimulation.tuning.guardrails import strongest_drive
+from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.shape import WEAKEST_HOLD, BurstShape, Zones
 from fes.stimulation.tuning.targets import PITCH, Measure
-from fes.stimulation.tuning.tuner import Tuner, TuningReport
+from fes.stimulation.tuning.tuner import Tuner
 
 PITCH_BAND = {"low": 4.0, "high": 25.0}
 OWN_US = 300.0

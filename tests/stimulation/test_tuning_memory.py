@@ -9,7 +9,8 @@ from tuning_plant import channel, charge_of, stride, tuning
 
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.memory import NEAR_MPS, SpeedMemory
-from fes.stimulation.tuning.tuner import Tuner, TuningReport
+from fes.stimulation.tuning.report import TuningReport
+from fes.stimulation.tuning.tuner import Tuner
 
 
 def walked(*kept: tuple[float, float]) -> SpeedMemory:

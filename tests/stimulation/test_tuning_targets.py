@@ -10,18 +10,17 @@ import pytest
 from tuning_plant import channel, stride, tuning
 
 from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.tuning.report import difference
 from fes.stimulation.tuning.shape import BurstShape, Zones, missing_drives, next_profile, zones_of
+from fes.stimulation.tuning.strides import GroundWatch, StrideFilter
 from fes.stimulation.tuning.targets import (
-    GroundWatch,
     Reading,
-    StrideFilter,
     SwingTimes,
     interpolate,
     pitch_at_contact_rad,
     read_stride,
     swing_times,
 )
-from fes.stimulation.tuning.tuner import difference
 
 NAN = float("nan")
 PITCH = {"low": 0.0, "high": 10.0}

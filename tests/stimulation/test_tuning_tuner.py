@@ -18,9 +18,10 @@ from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import Demand, room
 from fes.stimulation.tuning.guardrails import spent
+from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.targets import Measure
 from fes.stimulation.tuning.timing import SpeedTiming
-from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner, TuningReport
+from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner
 
 SECOND = 1_000_000_000
 

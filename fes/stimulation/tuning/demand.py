@@ -88,27 +88,3 @@ def leading(demands: tuple[Demand, ...]) -> Demand:
 def room(demands: tuple[Demand, ...]) -> float:
     """The greatest drive at which no other measure than the first most likely leaves its band at the high end."""
     return min((max(demand.most, demand.drive) for demand in demands[1:]), default=math.inf)
-
-
-def reason(demand: Demand, *, contrary: bool = False, stand_in: str = "") -> str:
-    """Why the intensity changes, in words: the newest value, the usual one, and what follows."""
-    measure, error = demand.measure, demand.error
-    span = measure.band.high - measure.band.low
-
-    def value(level: float) -> str:
-        return f"{(measure.band.low + level * span) * measure.scale:.0f} {measure.unit}"
-
-    if contrary:
-        why = f"more stimulation has made it worse, so {'less' if error > 0.0 else 'more'} is tried"
-    elif error < 0.0:
-        why = f"lately {value(demand.usual)}, {value(demand.aim)} will do"
-    elif demand.usual < 0.0:
-        why = f"lately {value(demand.usual)}, more is needed"
-    else:
-        differ = max(demand.noise * span * measure.scale, 1.0)
-        why = (
-            f"lately {value(demand.usual)}; strides differ by some {differ:.0f} {measure.unit}, so "
-            f"{value(demand.aim)} is aimed at"
-        )
-    text = f"{measure.text()} in this stride, {why}"
-    return f"{text} ({stand_in})" if stand_in else text

@@ -7,7 +7,8 @@ from fes.config import Session
 from fes.signals import GROUND_ACTS, OperatorAct, OperatorAction, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.tuner import Tuner, TuningReport
+from fes.stimulation.tuning.report import TuningReport
+from fes.stimulation.tuning.tuner import Tuner
 
 _CHOICES = (OperatorAction.ACCEPT_SUGGESTION, OperatorAction.ROLL_BACK)
 TUNING_ACTS = frozenset((OperatorAction.FREEZE_TUNING, OperatorAction.RESUME_TUNING, *_CHOICES))

@@ -25,8 +25,9 @@ from typing import Final
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
-from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, reason, room
+from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, room
 from fes.stimulation.tuning.guardrails import QUANTUM_MA, QUANTUM_US, limited
+from fes.stimulation.tuning.report import reason
 from fes.stimulation.tuning.targets import Reading, SwingTimes, interpolate, swing_times
 
 SIDE: Final = 0.15  # weight of each neighbour in Q

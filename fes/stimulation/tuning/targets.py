@@ -1,158 +1,22 @@
-"""What a stride measured, held against the target bands, and which strides teach nothing.
+"""What a stride measured, held against the target bands.
 
 Every measure is put on one scale: 0 is the low end of its band, 1 the high end. A stride is as good as its least
-satisfied measure, so that one number says whether more stimulation is needed. The tuner must not learn from a stumble,
-a turn or a pause.
+satisfied measure, so that one number says whether more stimulation is needed.
 """
 
 import math
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from statistics import median
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from fes.config import Band, Tuning
-from fes.signals import NS_PER_S, FloatArray, StrideResult
+from fes.signals import FloatArray, StrideResult
 
-STOP_S: Final = 0.8  # between the end of a stride and the beginning of the next: a stop
-SPEED_CHANGE, LEAST_SPEED_CHANGE_MPS = 0.25, 0.1  # of the usual speed, and at least
-CHARGE_SHARE: Final = 0.6  # of the usual charge: the rest of the pulses were refused, or lost
-REMEMBERED: Final = 5
-SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
-BELOW_GROUND_M: Final = -0.015  # no toe is there
-MOST_RISE_M: Final = 0.05  # of a stride on the ground that the session says
-LEAST_STAIR_M: Final = 0.12  # rises by more on any stair, however a sensor scatters
-RISES: Final = 20
-RISE_SDS: Final = 4.0
-UNEVEN_GROUND: Final = "a stair or a slope"
-OTHER_SPEED: Final = "the speed changed"
-NO_CHARGE: Final = "no stimulation was delivered in it"
 PITCH = "foot pitch at contact"
 ROLL = "eversion at contact"
 MID_SWING_BEGIN = 0.25  # of the swing: from there on the toe passes low …
 MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
-
-
-def jolted(stride: StrideResult) -> str:
-    """Why the stride's contact cannot be true; "" when it can.
-
-    A foot that stimulation jerks up jolts the sensor, which looks like initial contact early in the swing; all that is
-    measured from contact on is then wrong.
-    """
-    swing_ns, contact_ns = stride.t_swing_ns, stride.t_loading_response_ns
-    if swing_ns is not None and contact_ns is not None:
-        share = (contact_ns - swing_ns) / max(stride.t_end_ns - stride.t_start_ns, 1)
-        if share < SHORTEST_SWING:
-            return f"contact was seen {1e-6 * (contact_ns - swing_ns):.0f} ms after foot off, too soon to be true"
-    if math.isfinite(stride.toe_clearance_m) and stride.toe_clearance_m < BELOW_GROUND_M:
-        return f"the toe would have been {-1e3 * stride.toe_clearance_m:.0f} mm below the ground"
-    return ""
-
-
-class GroundWatch:
-    """Tells stairs and slopes from the ground that the session says: one foot's strides, in order.
-
-    By what the sensor alone says of each rise, less what the ground rises. That is off by a few centimetres that are
-    the sensor's own, and scatters; both are followed over the strides that are found usual, within bounds.
-    """
-
-    def __init__(self, *, most_m: float = MOST_RISE_M, free: bool = False) -> None:
-        self._most_m, self._free = most_m, free
-        self._rises: deque[float] = deque(maxlen=RISES)
-
-    def forget(self, *, free: bool) -> None:
-        """Other ground from here on; what was usual before says nothing of it. ``free``: nothing is known of it."""
-        self._free = free
-        self._rises.clear()
-
-    def unusual(self, stride: StrideResult) -> str:
-        """What is unusual about the ground of this valid stride; "" where nothing is."""
-        rise_m = stride.height_gained_m
-        if math.isfinite(stride.free_rise_m) and not self._free:
-            rise_m = stride.free_rise_m - stride.height_gained_m
-        usual_m, allowed_m = 0.0, self._most_m
-        if len(self._rises) >= REMEMBERED and not self._free:
-            usual_m = min(max(median(self._rises), -self._most_m), self._most_m)
-            spread_m = 1.4826 * median(abs(rise - usual_m) for rise in self._rises)
-            allowed_m = max(self._most_m, min(RISE_SDS * spread_m, LEAST_STAIR_M))
-        if abs(rise_m - usual_m) > allowed_m:
-            return f"the foot went {100 * (rise_m - usual_m):+.0f} cm up: {UNEVEN_GROUND}"
-        self._rises.append(rise_m)
-        return ""
-
-
-class StrideFilter:
-    """Judges every stride of one channel's foot, in order."""
-
-    def __init__(self, tuning: Tuning, min_stride_length_m: float, *, free_ground: bool = False) -> None:
-        self._tuning = tuning
-        self._ground = GroundWatch(most_m=tuning.max_height_gained_m, free=free_ground)
-        self._min_length_m = min_stride_length_m
-        self._end_ns: int | None = None
-        self._changed_ns: int | None = None
-        self._ground_changed_ns: int | None = None
-        self._speeds: deque[float] = deque(maxlen=REMEMBERED)
-        self._other_mps: float | None = None  # of the stride before, where it was walked at another speed
-        self._charges: deque[float] = deque(maxlen=REMEMBERED)
-
-    def operator_changed(self, t_ns: int) -> None:
-        """A person changed the intensity, or stopped or started stimulation."""
-        self._changed_ns = t_ns
-
-    def ground_changed(self, t_ns: int, *, free: bool) -> None:
-        """A person said what is walked on from now on."""
-        self._ground_changed_ns = t_ns
-        self._ground.forget(free=free)
-
-    def why_skip(self, stride: StrideResult, charge_uc: float, drive: float) -> str:
-        """Why this newest stride teaches nothing; "" when it does.
-
-        ``charge_uc`` was delivered in it; ``drive``, under which it was walked, scales the charge to be expected.
-        """
-        end_ns, self._end_ns = self._end_ns, stride.t_end_ns
-        if not stride.valid:
-            return f"the stride is not usable ({stride.reason})"
-        numbers = (stride.speed_mps, stride.stride_length_m, stride.turn_rad, stride.height_gained_m)
-        if not all(map(math.isfinite, numbers)):
-            return "the stride's own numbers are none"
-        if end_ns is not None and stride.t_end_ns <= end_ns:
-            return "it is no newer than the stride before"
-        usual_mps = median(self._speeds) if self._speeds else stride.speed_mps
-        before_mps, self._other_mps = self._other_mps, None
-        self._speeds.append(stride.speed_mps)
-        if end_ns is None or stride.t_start_ns - end_ns > STOP_S * NS_PER_S:
-            self._speeds.clear()
-            return "it is the first stride after standing"
-        if stride.stride_length_m < self._min_length_m:
-            return f"a stride of {100 * stride.stride_length_m:.0f} cm is no walking"
-        if abs(stride.turn_rad) > math.radians(self._tuning.max_turn_deg):
-            return f"the foot turned by {abs(math.degrees(stride.turn_rad)):.0f}°"
-        if self._ground_changed_ns is not None and self._ground_changed_ns >= stride.t_start_ns:
-            return "a person changed the ground meanwhile"  # before its rise would count as a stair's, or as usual
-        if uneven := self._ground.unusual(stride):
-            return uneven
-        if self._changed_ns is not None and self._changed_ns >= stride.t_start_ns:
-            return "a person changed the stimulation meanwhile"
-        if _other_speed(stride.speed_mps, usual_mps):
-            if before_mps is None or _other_speed(stride.speed_mps, before_mps):
-                self._other_mps = stride.speed_mps
-                return f"{OTHER_SPEED} from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
-            self._speeds.clear()  # two in a row: this is the speed now
-            self._speeds.append(stride.speed_mps)
-        if charge_uc <= 0.0 or drive <= 0.0:
-            return NO_CHARGE
-        relative = charge_uc / (drive * ((stride.t_end_ns - stride.t_start_ns) / NS_PER_S))
-        usual = median(self._charges) if self._charges else relative
-        self._charges.append(relative)
-        if relative < CHARGE_SHARE * usual:
-            return f"only {relative / usual:.0%} of the usual pulses were delivered"
-        return ""
-
-
-def _other_speed(speed_mps: float, usual_mps: float) -> bool:
-    return abs(speed_mps - usual_mps) > max(SPEED_CHANGE * usual_mps, LEAST_SPEED_CHANGE_MPS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ Deterministic and without a clock: the same strides, charges and acts give the s
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import AnswerMonitor
 from fes.stimulation.tuning.delay import STEP_S, DelayEstimate
-from fes.stimulation.tuning.demand import Demand, at_contact, demands_of, reason
+from fes.stimulation.tuning.demand import Demand, at_contact, demands_of
 from fes.stimulation.tuning.faults import FaultWatch
 from fes.stimulation.tuning.guardrails import (
     at_least,
@@ -28,70 +28,12 @@ from fes.stimulation.tuning.guardrails import (
 )
 from fes.stimulation.tuning.memory import SpeedMemory
 from fes.stimulation.tuning.reference import missing_drive
+from fes.stimulation.tuning.report import Kind, TuningReport, difference, identified, reason
 from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.shape import BurstShape, Zones
-from fes.stimulation.tuning.targets import (
-    NO_CHARGE,
-    OTHER_SPEED,
-    PITCH,
-    ROLL,
-    UNEVEN_GROUND,
-    Reading,
-    StrideFilter,
-    jolted,
-    read_stride,
-    swing_times,
-    times_ns,
-)
+from fes.stimulation.tuning.strides import NO_CHARGE, OTHER_SPEED, UNEVEN_GROUND, StrideFilter, jolted
+from fes.stimulation.tuning.targets import Reading, read_stride, swing_times, times_ns
 from fes.stimulation.tuning.timing import Lowering, SpeedTiming
-
-Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen", "identified"]
-
-
-@dataclass(frozen=True, slots=True)
-class TuningReport:
-    """One thing the tuning did, would do, or did not do, and why.
-
-    ``before`` and ``after`` are the parameters of the next burst, the same unless ``kind`` is "change" or "roll_back"
-    (then they are in force) or "suggestion" (then ``after`` waits for a person).
-    """
-
-    t_ns: int
-    channel: int
-    kind: Kind
-    text: str
-    before: BurstParameters
-    after: BurstParameters
-
-    @property
-    def skipped(self) -> bool:
-        """Whether its stride taught nothing, though the settings may have changed for it."""
-        return " skipped: " in self.text
-
-    @property
-    def severity(self) -> str:
-        """For the session log."""
-        return "warning" if self.kind in ("hint", "roll_back", "fault") else "info"
-
-
-def difference(before: BurstParameters, after: BurstParameters) -> str:
-    """What changes, in words; "" for nothing."""
-    changes = []
-    if after.current_ma != before.current_ma:
-        changes.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
-    moved = [(b, a) for b, a in zip(before.widths_us, after.widths_us, strict=True) if a != b]
-    if moved:
-        most = max(moved, key=lambda pair: abs(pair[1] - pair[0]))
-        changes.append(
-            f"pulse width {most[0]:.0f} → {most[1]:.0f} µs where it changes most "
-            f"(mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs)"
-        )
-    for name, key in (("start delay", "start_delay_s"), ("extension", "extension_s")):
-        was, becomes = getattr(before, key), getattr(after, key)
-        if was != becomes:
-            changes.append(f"{name} {1e3 * was:.0f} → {1e3 * becomes:.0f} ms")
-    return ", ".join(changes)
-
 
 SPARED: Final = 6  # strides after a fault in which nothing is lowered
 NEAR_AIM: Final = 0.5  # of the band: nearer than this a change must show its effect before the next
@@ -560,29 +502,7 @@ class Tuner:
 
     def identified(self) -> str:
         """Threshold, slopes and delay with their standard deviations, in words."""
-        bounds = self.tuning.bounds
-        if bounds is None or not self.model.strides:
-            return ""
-        most, unit = (
-            (bounds.current_ma.high, "mA") if self.tuning.method == "run_to_run" else (bounds.pulse_width_us.high, "µs")
-        )
-        threshold, delay = self.model.threshold, self.delay.delay_s
-        parts = [f"threshold {most * threshold.value:.0f} ± {most * threshold.sd:.0f} {unit}"]
-        for name, (span, shown) in self._spans().items():
-            if self.model.knows(name):
-                slope = self.model.slope(name)
-                parts.append(f"{name} {span * slope.value / most:.2g} ± {span * slope.sd / most:.1g} {shown}/{unit}")
-        parts.append(f"answer {1e3 * delay.value:.0f} ± {1e3 * delay.sd:.0f} ms after the pulse")
-        return "identified: " + ", ".join(parts)
-
-    def _spans(self) -> dict[str, tuple[float, str]]:
-        """By measure, its band's width in the unit that people read, and that unit."""
-        tuning = self.tuning
-        found = {
-            "toe clearance": (tuning.toe_clearance_m, 1e3, "mm"), "sensor lift": (tuning.sensor_clearance_m, 1e3, "mm"),
-            PITCH: (tuning.pitch_at_contact_deg, 1.0, "°"), ROLL: (tuning.eversion_at_contact_deg, 1.0, "°"),
-        }  # fmt: skip
-        return {name: (scale * (band.high - band.low), unit) for name, (band, scale, unit) in found.items() if band}
+        return identified(self.model, self.delay.delay_s, self.tuning)
 
     def _hint_if_unreached(self, t_ns: int, reading: Reading) -> TuningReport | None:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
