@@ -57,7 +57,7 @@ def difference(before: BurstParameters, after: BurstParameters) -> str:
     return ", ".join(changes)
 
 
-def reason(demand: Demand, *, contrary: bool = False, stand_in: str = "") -> str:
+def reason(demand: Demand, *, stand_in: str = "") -> str:
     """Why the intensity changes, in words: the newest value, the usual one, and what follows."""
     measure, error = demand.measure, demand.error
     span = measure.band.high - measure.band.low
@@ -65,9 +65,7 @@ def reason(demand: Demand, *, contrary: bool = False, stand_in: str = "") -> str
     def value(level: float) -> str:
         return f"{(measure.band.low + level * span) * measure.scale:.0f} {measure.unit}"
 
-    if contrary:
-        why = f"more stimulation has made it worse, so {'less' if error > 0.0 else 'more'} is tried"
-    elif error < 0.0:
+    if error < 0.0:
         why = f"lately {value(demand.usual)}, {value(demand.aim)} will do"
     elif demand.usual < 0.0:
         why = f"lately {value(demand.usual)}, more is needed"

@@ -203,10 +203,9 @@ class Tuner:
         other_speed = self.memory.changed(stride.speed_mps)
         if other_speed:
             self.faults.forget()
+            self._answers.other_walk()
         fault = self.faults.stride(reading, drives, self.model)
         self._spared = SPARED if fault else max(self._spared - 1, 0)
-        if other_speed:
-            self._answers.other_walk()
         if fault:
             if not self.frozen:
                 self._answers.fault(self.faults.before, self.faults.strides)
