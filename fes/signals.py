@@ -23,6 +23,7 @@ SENSORS = FOOT_SENSORS + SHANK_SENSORS
 
 G_MPS2 = 9.80665
 NS_PER_S = 1_000_000_000
+MID_SWING_BEGIN, MID_SWING_END = 0.25, 0.80  # of the swing: the toe has left the ground, and passes low once more
 
 
 class ImuSample(NamedTuple):

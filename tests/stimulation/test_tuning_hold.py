@@ -14,12 +14,12 @@ from fes.stimulation.tuning.demand import Demand
 from fes.stimulation.tuning.guardrails import strongest_drive
 from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.shape import WEAKEST_HOLD, BurstShape, Zones
-from fes.stimulation.tuning.targets import PITCH, Measure
+from fes.stimulation.tuning.targets import PITCH, Measure, SwingTimes
 from fes.stimulation.tuning.tuner import Tuner
 
 PITCH_BAND = {"low": 4.0, "high": 25.0}
 OWN_US = 300.0
-ZONES = Zones(7, 14)
+ZONES = Zones(7, 14, 0.1, SwingTimes(0.3, 0.6, 0.8))
 MOST = BOUNDS["current_ma"]["high"] / 30.0  # drive at the bound, of the session's
 
 

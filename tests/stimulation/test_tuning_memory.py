@@ -117,6 +117,14 @@ def test_back_at_a_speed_it_goes_on_with_what_was_right_there() -> None:
     assert any("at 0.6 m/s this was right before" in report.text for report in walk.reports)
 
 
+def test_what_was_right_at_a_speed_lowers_nothing_while_the_toe_is_too_low() -> None:
+    walk = Walk().walk(25, 0.6).walk(25, 0.8)
+    strong_ma, number = walk.current_ma, walk.number
+    for number in range(walk.number, walk.number + 5):  # slower again, and an electrode slips meanwhile
+        walk.tuner.observe(number, stride(number, 0.004, speed_mps=0.6), charge_of(walk.tuner.parameters), 1.0)
+        assert walk.current_ma >= strong_ma
+
+
 @pytest.mark.parametrize("method", ["run_to_run", "learning"])
 def test_at_another_speed_the_burst_is_even_and_begins_as_the_session_says(method: str) -> None:
     """What was learnt of its shape holds at the old speed; nowhere is it stronger than where it was strongest."""

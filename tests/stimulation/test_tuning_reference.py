@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tuning_plant import BAND, stride, tuning
 
 from fes.config import FootGeometry, Tuning
-from fes.signals import FloatArray, StrideResult
+from fes.signals import MID_SWING_BEGIN, MID_SWING_END, FloatArray, StrideResult
 from fes.stimulation.tuning.demand import demands_of
 from fes.stimulation.tuning.reference import Missing, missing_drive, toe_heights_m
 from fes.stimulation.tuning.response import ResponseModel
-from fes.stimulation.tuning.targets import MID_SWING_BEGIN, MID_SWING_END, Reading, read_stride, swing_times
+from fes.stimulation.tuning.targets import Reading, read_stride, swing_times
 
 FOOT = FootGeometry(toe_forward_m=0.15, toe_up_m=-0.05, heel_forward_m=-0.08, heel_up_m=-0.05)
 PITCH = {"low": 0.0, "high": 20.0}
@@ -73,6 +74,19 @@ def test_a_sample_asks_by_what_it_lies_beside_the_one_measured() -> None:
     assert heights[np.argmax(pushes)] - heights[0] == pytest.approx(
         0.15 * (math.sin(math.radians(pushes.max())) - math.sin(math.radians(10.0))), abs=0.002
     )
+
+
+def test_a_toe_that_stands_below_what_was_measured_moves_no_later_demand() -> None:
+    """Foot off was seen before the toe had left the ground: where it still stands is no height to measure from."""
+    toe_m = BAND["low"] - 0.004
+    level = with_pitch(np.full(101, 0.0), toe_m)
+    for stands_m in (0.0, 0.008):
+        path = np.zeros((101, 3))
+        path[:, 2] = np.where(SHARE < 0.4, toe_m - stands_m, toe_m)  # the sole is level: the toe goes as the sensor
+        missing = asked(replace(level, trajectory_m=path), tuning())
+        later = within(missing, 0.45, MID_SWING_END - 0.02)
+        assert later == pytest.approx([0.35] * len(later))
+        assert len(later) > 8
 
 
 def test_of_a_level_below_the_band_all_is_asked_for_and_within_it_a_share() -> None:

@@ -12,7 +12,6 @@ from tuning_plant import channel, stride, tuning
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.report import difference
 from fes.stimulation.tuning.shape import BurstShape, Zones, missing_drives, next_profile, zones_of
-from fes.stimulation.tuning.strides import GroundWatch, StrideFilter
 from fes.stimulation.tuning.targets import (
     Reading,
     SwingTimes,
@@ -21,6 +20,7 @@ from fes.stimulation.tuning.targets import (
     read_stride,
     swing_times,
 )
+from fes.stimulation.tuning.usable import GroundWatch, StrideFilter
 
 NAN = float("nan")
 PITCH = {"low": 0.0, "high": 10.0}
@@ -82,14 +82,14 @@ def test_the_swing_is_parted_where_the_toe_has_passed_low() -> None:
     assert times.share(0.65) == pytest.approx(0.5)
     assert swing_times(stride(0, 0.02, t_swing_ns=None)) is None
     zones = zones_of(times, 0.2, 0.15, 30)
-    assert (zones.middle, zones.reached) == (9, 14)  # mid-swing's pulses come 150 ms before; contact is at 0.7 s
-    assert zones_of(times, 0.2, 0.05, 30).middle == 11  # a foot that answers sooner
+    assert (zones.carried, zones.reached) == (9, 14)  # mid-swing's pulses come 150 ms before; contact is at 0.7 s
+    assert zones_of(times, 0.2, 0.05, 30).carried == 11  # a foot that answers sooner
     late = zones_of(times, 5.0, 0.15, 30)
-    assert (late.middle, late.reached) == (0, 0)
+    assert (late.carried, late.reached) == (0, 0)
 
 
 def test_each_bin_answers_for_the_sample_a_delay_after_its_pulses() -> None:
-    zones = Zones(6, 12, 0.1)
+    zones = Zones(6, 12, 0.1, SwingTimes(0.1, 0.2, 0.8))  # all of it after mid-swing
     times_s = [0.02 * k for k in range(20, 40)]  # 0.4 … 0.78 s
     missing = [0.3 if t > 0.52 else -0.1 for t in times_s]
     for delay_s in (0.08, 0.16):
@@ -135,6 +135,12 @@ def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:
     assert profile[0] < profile[6] < profile[7] < profile[12]  # smoothed in between
     assert set(profile[14:]) == {profile[13]}
     assert next_profile(widths, []) == widths
+
+
+def test_smoothing_takes_nothing_from_a_bin_that_asks_for_more() -> None:
+    widths = [300.0] * 4 + [150.0] * 26  # at its bound, and the toe is too low still
+    assert next_profile(widths, [1.0] * 4 + [-6.0] * 8)[:4] == pytest.approx([301.0, 301.0, 301.0, 300.0])
+    assert next_profile(widths, [-1.0] * 12)[3] == pytest.approx(0.85 * 299.0 + 0.15 * 149.0)  # it asks for less
 
 
 def test_an_evertor_is_judged_by_the_roll_at_contact() -> None:

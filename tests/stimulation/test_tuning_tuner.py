@@ -315,6 +315,28 @@ def paced(number: int, factor: float) -> Any:
     return stride(number, 0.02, duration_s=1.4 * factor, pre_swing_s=0.4 * factor, swing_s=0.5 * factor)
 
 
+@pytest.mark.parametrize(("toe_m", "lowered_us"), [(0.026, 20.0), (0.004, 4.0)])
+def test_what_lies_above_its_band_goes_at_once_only_where_nothing_lies_below_its_own(
+    toe_m: float, lowered_us: float
+) -> None:
+    """The foot's pitch at contact does, at the end of the burst; the toe is carried by its begin."""
+    tuner = Tuner(channel(tuning(method="learning", pitch_at_contact_deg={"low": 4.0, "high": 12.0})))
+    for number in range(4):
+        before = tuner.parameters
+        tuner.observe(number, stride(number, toe_m, 25.0), charge_of(before), 1.0)
+    assert before.widths_us[-1] - tuner.parameters.widths_us[-1] == pytest.approx(lowered_us, abs=1.0)
+
+
+def test_a_swing_of_which_no_sample_is_known_moves_no_profile() -> None:
+    tuner = Tuner(channel(tuning(method="learning")))
+    for number in range(4):
+        before = tuner.parameters
+        cut = stride(number, 0.004, trajectory_m=np.zeros((2, 3)), pitch_rad=np.zeros(2))  # its begin and its end
+        report = tuner.observe(number, cut, charge_of(before), 1.0)
+        assert report is None or report.kind in ("skip", "hint")
+        assert tuner.parameters == before
+
+
 def test_timing_follows_the_speed() -> None:
     timing = SpeedTiming()
     for number in range(4):

@@ -40,7 +40,7 @@ from fes.estimation.strides.integration import (
     stride_shape,
 )
 from fes.estimation.strides.schema import STRIDE
-from fes.signals import NS_PER_S
+from fes.signals import MID_SWING_BEGIN, MID_SWING_END, NS_PER_S
 
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
 STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
@@ -50,7 +50,7 @@ STANCE_LEAD_S = 0.03  # rest is known this late
 DURATION_S = (0.4, 5.0)
 LEAST_SAMPLES = 10
 LONGEST_GAP_S = 0.04
-TOE_STANDS = 0.1  # of the swing: a toe that has hardly gone by then left the ground later than foot off was seen
+TOE_LEAVES_BY = 0.1  # of the swing: a toe that has hardly gone by then left the ground later than foot off was seen
 TOE_GONE = 0.02  # of its way: by so much forward it has left
 TOE_LEFT = 0.1  # of its way still to go: it has as good as arrived
 LEAST_TRAVEL_M = 0.1
@@ -354,9 +354,10 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
         leaves_ns, arrives_ns = _toe_goes_ns(settings, t_ns, position, quaternion, toe_forward, toe_up)
         if row.t_loading_response_ns == UNSEEN_NS and arrives_ns > off_ns:
             contact_ns = arrives_ns
-        if leaves_ns - off_ns > TOE_STANDS * (contact_ns - off_ns) and leaves_ns < contact_ns:
+        if leaves_ns - off_ns > TOE_LEAVES_BY * (contact_ns - off_ns) and leaves_ns < contact_ns:
             off_ns = leaves_ns
-    begin, end = off_ns + 0.25 * (contact_ns - off_ns), off_ns + 0.8 * (contact_ns - off_ns)
+    swing_ns = contact_ns - off_ns
+    begin, end = off_ns + MID_SWING_BEGIN * swing_ns, off_ns + MID_SWING_END * swing_ns
     toe_start = heel_start = 0.0
     least, most = math.inf, -math.inf
     for i in range(t_ns.shape[0]):

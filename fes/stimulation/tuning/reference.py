@@ -1,24 +1,21 @@
 """What each sample of a swing is short of, held against the reference that its targets make: for iterative learning.
 
 The reference asks for nothing that the targets do not: in mid-swing the toe's height over the ground, from the end of
-mid-swing to contact the foot's pitch, and for evertors its roll. Each sample's distance from the aim is that of the
-stride's measure, and what the sample lies beside the sample that was measured.
+mid-swing to contact the foot's pitch, and for evertors, from three fifths of the swing on, its roll. Each sample's
+distance from the aim is that of the stride's measure, and what the sample lies beside the sample that was measured.
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fes.config import FootGeometry
-from fes.signals import FloatArray, StrideResult
+from fes.signals import MID_SWING_BEGIN, BoolArray, FloatArray, StrideResult
 from fes.stimulation.tuning.demand import DEAD, DEAD_ABOVE, Demand
 from fes.stimulation.tuning.response import ResponseModel
-from fes.stimulation.tuning.targets import MID_SWING_BEGIN, PITCH, ROLL, SwingTimes, interpolate, times_ns
+from fes.stimulation.tuning.targets import PITCH, ROLL, SwingTimes, interpolate, times_ns
 
-BoolArray: TypeAlias = NDArray[np.bool_]
-STANDS_M: Final = 0.015  # below the least of mid-swing: the toe still stands there, foot off was seen too early
 ROLLED_FROM: Final = 0.6  # of the swing: from there on the foot turns to what it lands with
 
 
@@ -39,7 +36,7 @@ def missing_drive(
     swing = (at_s - times.foot_off_s) / (times.contact_s - times.foot_off_s)
     found: list[tuple[float, float]] = []
     for demand in demands:
-        begin, end = MID_SWING_BEGIN, times.share(times.middle_s)
+        begin, end = MID_SWING_BEGIN, times.share(times.mid_swing_end_s)
         if demand.measure.at_contact:
             begin, end = (ROLLED_FROM if demand.measure.name == ROLL else end), 1.0
         inside = (swing >= begin) & (swing <= end)
@@ -71,9 +68,7 @@ def _beside(
     if geometry is None:
         return np.zeros(int(inside.sum()))
     heights = toe_heights_m(stride, geometry)[inside]
-    least = heights.min()
-    if stride.toe_clearance_m - least > STANDS_M:
-        least = stride.toe_clearance_m
+    least = max(heights.min(), stride.toe_clearance_m)  # a toe below what was measured has not left the ground yet
     return np.asarray(np.maximum(heights - least, 0.0) / span)
 
 

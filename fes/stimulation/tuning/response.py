@@ -155,31 +155,29 @@ class ResponseModel:
         """The level to expect under this drive; its standard deviation is without a stride's noise."""
         if name not in self._lines:
             return Known(BARE, BARE_SD)
-        mean, variance = self._lines[name].predict(drive)
-        middle = float(mean @ self._weights)
-        spread = float((variance + (mean - middle) ** 2) @ self._weights)
-        return Known(middle, math.sqrt(max(spread, 0.0)))
+        return self._mixed(*self._lines[name].predict(drive))
 
     def gained(self, name: str, drive: float) -> Known:
         """What this drive lifts the level by, against none."""
         lines = self._lines[name]
         risen = np.maximum(drive - THRESHOLDS, 0.0)
-        mean, variance = lines.mean[:, 1] * risen, lines.cov[:, 1, 1] * risen**2
-        middle = float(mean @ self._weights)
-        return Known(middle, math.sqrt(float((variance + (mean - middle) ** 2) @ self._weights)))
+        return self._mixed(lines.mean[:, 1] * risen, lines.cov[:, 1, 1] * risen**2)
 
     def slope(self, name: str) -> Known:
         """Above the threshold, bands over the whole range."""
         lines = self._lines[name]
-        mean, variance = lines.mean[:, 1], lines.cov[:, 1, 1]
-        middle = float(mean @ self._weights)
-        return Known(middle, math.sqrt(float((variance + (mean - middle) ** 2) @ self._weights)))
+        return self._mixed(lines.mean[:, 1], lines.cov[:, 1, 1])
 
     @property
     def threshold(self) -> Known:
         """A share of the upper bound."""
-        middle = float(THRESHOLDS @ self._weights)
-        return Known(middle, math.sqrt(float((THRESHOLDS - middle) ** 2 @ self._weights)))
+        return self._mixed(np.asarray(THRESHOLDS), np.zeros(len(THRESHOLDS)))
+
+    def _mixed(self, mean: FloatArray, variance: FloatArray) -> Known:
+        """Of what is known given each threshold, (H,) both, by their probabilities."""
+        middle = float(mean @ self._weights)
+        spread = float((variance + (mean - middle) ** 2) @ self._weights)
+        return Known(middle, math.sqrt(max(spread, 0.0)))
 
     def least_drives(self, name: str, levels: FloatArray) -> FloatArray:
         """The least drives from which on these levels (N,) are to be expected, (N,); 1 where none suffices."""

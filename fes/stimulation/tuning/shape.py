@@ -13,7 +13,7 @@ swing is short of its reference: the toe's height in mid-swing, foot pitch (or r
 it into drive by the identified response (threshold and slope), ``d`` is the identified delay from pulse to movement;
 before the end of mid-swing a pulse answers for all that is left of it.
 The swing's length varies, so only what the last swing reached is updated (variable pass length). Q averages over
-neighbours, no greater than 1 at any frequency.
+neighbours, no greater than 1 at any frequency, and takes nothing from a bin that asks for more.
 """
 
 from collections import deque
@@ -39,27 +39,27 @@ LOWERED: Final = 0.2  # of what one stride may change, within the bands: raised 
 
 @dataclass(frozen=True, slots=True)
 class Zones:
-    """Bins ``0 … middle`` carry the foot through mid-swing, ``middle … reached`` hold it until contact.
+    """Bins ``0 … carried`` carry the foot over in mid-swing, ``carried … reached`` hold it until contact.
 
     ``burst_s`` is when the burst began, since entry into pre-swing, as all the ``times``.
     """
 
-    middle: int
+    carried: int
     reached: int
-    burst_s: float = 0.0
-    times: SwingTimes | None = None
+    burst_s: float
+    times: SwingTimes
 
     def means(self, widths: Sequence[float]) -> tuple[float, float]:
         """Mean width of each, the other's where one has no bins."""
-        first, last = widths[: self.middle], widths[self.middle : self.reached]
+        first, last = widths[: self.carried], widths[self.carried : self.reached]
         return fmean(first or last or widths), fmean(last or first or widths)
 
 
 def zones_of(times: SwingTimes, burst_s: float, delay_s: float, bins: int) -> Zones:
     """Which bins the stride's mid-swing and its end are answerable to."""
     reached = min(max(int((times.contact_s - burst_s) / BIN_S + 0.5), 0), bins)
-    middle = int((times.middle_s - delay_s - burst_s) / BIN_S + 0.5)
-    return Zones(min(max(middle, 0), reached), reached, burst_s, times)
+    carried = int((times.mid_swing_end_s - delay_s - burst_s) / BIN_S + 0.5)
+    return Zones(min(max(carried, 0), reached), reached, burst_s, times)
 
 
 def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missing: Sequence[float]) -> list[float]:
@@ -69,10 +69,10 @@ def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missi
     that is left of it, not for the toe's height on its way there, which the knee gives it. ``missing`` (N,) is what the
     samples at ``times_s`` (N,) since entry into pre-swing are short of; the first and the last answer beyond them.
     """
-    found, carried_s = [], 0.0 if zones.times is None else zones.times.middle_s
+    found = []
     for k in range(zones.reached):
         at_s = zones.burst_s + (k + 0.5) * BIN_S + delay_s
-        left = [m for t, m in zip(times_s, missing, strict=True) if at_s <= t <= carried_s]
+        left = [m for t, m in zip(times_s, missing, strict=True) if at_s <= t <= zones.times.mid_swing_end_s]
         found.append(max(left) if left else interpolate(at_s, times_s, missing))
     return found
 
@@ -80,8 +80,9 @@ def missing_drives(zones: Zones, delay_s: float, times_s: Sequence[float], missi
 def next_profile(widths: Sequence[float], steps_us: Sequence[float]) -> list[float]:
     """The next stride's profile in µs, before any limit or bound.
 
-    ``steps_us`` are the changes of the bins that the last swing reached. Q works on these; beyond them the profile goes
-    on with the width of the last, which the next, longer swing will judge.
+    ``steps_us`` are the changes of the bins that the last swing reached. Q works on these, but takes nothing from a bin
+    that asks for more; beyond them the profile goes on with the width of the last, which the next, longer swing will
+    judge.
     """
     n = len(steps_us)
     raised = [width + step for width, step in zip(widths, steps_us, strict=False)]
@@ -89,6 +90,8 @@ def next_profile(widths: Sequence[float], steps_us: Sequence[float]) -> list[flo
     for k in range(n):
         before, after = raised[max(k - 1, 0)], raised[min(k + 1, n - 1)]
         smooth[k] = SIDE * before + (1.0 - 2.0 * SIDE) * raised[k] + SIDE * after
+        if steps_us[k] > 0.0:
+            smooth[k] = max(smooth[k], widths[k])
     if n:
         smooth[n:] = [smooth[n - 1]] * (len(smooth) - n)
     return smooth
@@ -102,7 +105,7 @@ class BurstShape:
         self._own = BurstParameters.for_channel(channel)
         self._learns, bounds = tuning.method == "learning", tuning.bounds
         may_fall = bounds is not None and bounds.pulse_width_us.low < channel.pulse_width_us
-        self._middles: deque[int] = deque(maxlen=REMEMBERED)  # so that the hold's begin does not follow every stride
+        self._carried: deque[int] = deque(maxlen=REMEMBERED)  # so that the hold's begin does not follow every stride
         self._zoned = self._learns or (may_fall and tuning.pitch_at_contact_deg is not None)
 
     def zones(self, stride: StrideResult, parameters: BurstParameters, delay_s: float) -> Zones | None:
@@ -110,19 +113,23 @@ class BurstShape:
         times = swing_times(stride) if self._zoned else None
         if times is None:
             return None
-        burst_s = parameters.start_delay_s
-        if self._channel.start_phase == "swing":
-            burst_s += times.foot_off_s
-        return zones_of(times, burst_s, delay_s, len(parameters.widths_us))
+        return zones_of(times, self.begins_s(times, parameters), delay_s, len(parameters.widths_us))
+
+    def begins_s(self, times: SwingTimes, parameters: BurstParameters) -> float:
+        """When the burst began, since entry into pre-swing."""
+        return parameters.start_delay_s + (times.foot_off_s if self._channel.start_phase == "swing" else 0.0)
+
+    def drive_per_us(self, parameters: BurstParameters, intensity: float) -> float:
+        """What a microsecond of pulse width is worth at this current."""
+        return intensity * parameters.current_ma / self._own.current_ma / self._own.mean_width_us / self._most
 
     def drives(
         self, reading: Reading, zones: Zones | None, parameters: BurstParameters, intensity: float
     ) -> dict[str, float]:
         """The drive that each measure has seen: what is measured at contact the late part's, the others the first's."""
-        widths = parameters.widths_us
-        full = intensity * parameters.current_ma / self._own.current_ma / self._own.mean_width_us / self._most
-        first, last = (parameters.mean_width_us,) * 2 if zones is None else zones.means(widths)
-        return {measure.name: full * (last if measure.at_contact else first) for measure in reading.measures}
+        per_us = self.drive_per_us(parameters, intensity)
+        first, last = (parameters.mean_width_us,) * 2 if zones is None else zones.means(parameters.widths_us)
+        return {measure.name: per_us * (last if measure.at_contact else first) for measure in reading.measures}
 
     def leader(self, demands: tuple[Demand, ...], zones: Zones | None, parameters: BurstParameters) -> Demand:
         """The demand that a change is for, and that says why."""
@@ -209,6 +216,6 @@ class BurstShape:
         hold_us += own_us * self._most * self.gain(late) * late.step / intensity
         hold_us *= self._own.current_ma / max(after.current_ma, QUANTUM_MA)
         hold_us = min(max(hold_us, WEAKEST_HOLD * own_us), own_us)
-        self._middles.append(zones.middle)
-        full = median_low(self._middles)
+        self._carried.append(zones.carried)
+        full = median_low(self._carried)
         return replace(after, widths_us=(own_us,) * full + (hold_us,) * (len(base.widths_us) - full))

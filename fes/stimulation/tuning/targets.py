@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from fes.config import Band, Tuning
-from fes.signals import FloatArray, StrideResult
+from fes.signals import MID_SWING_END, FloatArray, StrideResult
 
 PITCH = "foot pitch at contact"
 ROLL = "eversion at contact"
-MID_SWING_BEGIN = 0.25  # of the swing: from there on the toe passes low …
-MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +130,7 @@ class SwingTimes(NamedTuple):
     """Seconds since entry into pre-swing: foot off, the end of mid-swing, contact."""
 
     foot_off_s: float
-    middle_s: float
+    mid_swing_end_s: float
     contact_s: float
 
     def share(self, at_s: float) -> float:
@@ -146,8 +144,8 @@ def swing_times(stride: StrideResult) -> SwingTimes | None:
     contact_ns = stride.t_loading_response_ns or stride.t_stance_ns
     if begin_ns is None or swing_ns is None or contact_ns is None or not begin_ns <= swing_ns < contact_ns:
         return None
-    middle_ns = swing_ns + MID_SWING_END * (contact_ns - swing_ns)
-    return SwingTimes(1e-9 * (swing_ns - begin_ns), 1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
+    end_ns = swing_ns + MID_SWING_END * (contact_ns - swing_ns)
+    return SwingTimes(1e-9 * (swing_ns - begin_ns), 1e-9 * (end_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
 
 
 def times_ns(stride: StrideResult) -> list[float]:

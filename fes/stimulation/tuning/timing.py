@@ -18,7 +18,7 @@ from itertools import pairwise
 from statistics import median
 from typing import Final
 
-from fes.signals import NS_PER_S, StrideResult
+from fes.signals import MID_SWING_BEGIN, NS_PER_S, StrideResult
 from fes.stimulation.tuning.targets import interpolate, times_ns
 
 LOWERING_NEEDED: Final = 3
@@ -32,7 +32,6 @@ NEEDED: Final = 3
 NEWEST: Final = 3  # strides whose duration is followed
 FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
 OUTLIVES_S: Final = 0.13  # force outlives pulses: delay 20–50 ms, then 1.5 times the activation's fall, 60 ms
-LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low
 SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
 PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
 SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
@@ -134,7 +133,7 @@ class SpeedTiming:
         spread = 1.4826 * median(abs(share - usual) for share in pre)
         pre_swing_s = max(usual - SPREADS * spread, 0.0) * self._duration_s
         swing_s = median(share for _, share, _ in self._shares) * self._duration_s
-        up_s = pre_swing_s + min(LOW_FROM * swing_s - FORCE_S, 0.0)
+        up_s = pre_swing_s + min(MID_SWING_BEGIN * swing_s - FORCE_S, 0.0)
         delay_s = max(up_s - rise_s, 0.0) if start_phase == "pre_swing" else 0.0
         loading_s = median(share for _, _, share in self._shares) * self._duration_s
         extension_s = max(loading_s - fall_s - OUTLIVES_S, -SOONEST_S)

@@ -31,9 +31,9 @@ from fes.stimulation.tuning.reference import missing_drive
 from fes.stimulation.tuning.report import Kind, TuningReport, difference, identified, reason
 from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.shape import BurstShape, Zones
-from fes.stimulation.tuning.strides import NO_CHARGE, OTHER_SPEED, UNEVEN_GROUND, StrideFilter, jolted
 from fes.stimulation.tuning.targets import Reading, read_stride, swing_times, times_ns
 from fes.stimulation.tuning.timing import Lowering, SpeedTiming
+from fes.stimulation.tuning.usable import NO_CHARGE, OTHER_SPEED, UNEVEN_GROUND, StrideFilter, jolted
 
 SPARED: Final = 6  # strides after a fault in which nothing is lowered
 NEAR_AIM: Final = 0.5  # of the band: nearer than this a change must show its effect before the next
@@ -288,12 +288,12 @@ class Tuner:
         times = swing_times(stride)
         if times is None or stride.t_pre_swing_ns is None:
             return
-        burst_s = self.parameters.start_delay_s + (times.foot_off_s if self.channel.start_phase == "swing" else 0.0)
+        burst_s = self._shape.begins_s(times, self.parameters)
         at_s = np.arange(0.0, times.contact_s, STEP_S)
         widths_us = np.array([self.parameters.width_us(t - burst_s) for t in at_s])
         rise = np.clip((at_s - burst_s) / self.channel.rise_s, 0.0, 1.0)
-        full = intensity * self.parameters.current_ma / self.start.current_ma / self.start.mean_width_us / self._most
-        effect = np.maximum(full * widths_us * rise - self.model.threshold.value, 0.0)
+        drives = self._shape.drive_per_us(self.parameters, intensity) * widths_us * rise
+        effect = np.maximum(drives - self.model.threshold.value, 0.0)
         pitch_s = 1e-9 * (np.array(times_ns(stride)) - stride.t_pre_swing_ns)
         inside = (pitch_s >= 0.0) & (pitch_s <= times.contact_s)
         angle = stride.pitch_rad if self.tuning.eversion_at_contact_deg is None else -stride.roll_rad
@@ -436,7 +436,7 @@ class Tuner:
             wanted = self._shape.scaled(wanted, 1.0 + self._excited * EXCITATION / max(demands[0].drive, EXCITATION))
             self._excited = -self._excited
         after = limited(before, wanted, self.tuning)
-        if self._spared:
+        if self._spared or (known is not None and reading.level < 0.0):
             after = at_least(after, before)  # the hold, or a part of the profile, that less would do for
         if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
@@ -470,12 +470,13 @@ class Tuner:
         """``wanted`` with the intensity that the demands ask for, by the channel's method."""
         if self.tuning.method == "run_to_run":
             return self._shape.answered(wanted, demands, zones, intensity)
-        if zones is None or zones.times is None:
+        if zones is None:
             return wanted
         missing = missing_drive(stride, zones.times, demands, self.model, self.geometry, self.tuning.gain)
         if not missing.times_s:
             return wanted
-        above = any(max(demand.usual, demand.measure.level) > 1.0 for demand in demands)
+        above = max(max(demand.usual, demand.measure.level) for demand in demands) > 1.0
+        above = above and min(demand.usual for demand in demands) >= 0.0
         return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity, above=above)
 
     def _propose(self, t_ns: int, after: BurstParameters, text: str) -> TuningReport | None:
@@ -497,11 +498,7 @@ class Tuner:
         if self.model.strides - self._reported < REPORTED_EVERY:
             return None
         self._reported = self.model.strides
-        return self._report(t_ns, "identified", self.identified())
-
-    def identified(self) -> str:
-        """Threshold, slopes and delay with their standard deviations, in words."""
-        return identified(self.model, self.delay.delay_s, self.tuning)
+        return self._report(t_ns, "identified", identified(self.model, self.delay.delay_s, self.tuning))
 
     def _hint_if_unreached(self, t_ns: int, reading: Reading) -> TuningReport | None:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
