@@ -204,9 +204,7 @@ TRIAL = "negard_patient2.parquet"
 @click.option(
     "--closed-loop", is_flag=True, help="A virtual patient instead: it stumbles, the controller tunes itself."
 )
-@click.option(
-    "--fast", is_flag=True, help="With --closed-loop: in seconds, by an injected clock, with the same result."
-)
+@click.option("--fast", is_flag=True, help="With --closed-loop: in seconds, by an injected clock.")
 @choice("--stimulator", of=STIMULATORS, help="With --closed-loop, in real time: which simulated stimulator.")
 @click.option("--json", "as_json", is_flag=True, help="With --closed-loop: print the result as JSON.")
 def command(out: Path, speed: float | None, closed_loop: bool, fast: bool, stimulator: str, as_json: bool) -> None:

@@ -49,6 +49,7 @@ class TuningBounds(Settings):
 
 
 Step = Annotated[float, Field(gt=0)]
+HIGHEST_TOE_M, HIGHEST_SENSOR_M = 0.2, 1.0  # in a step on even ground
 
 
 class Tuning(Settings):
@@ -84,6 +85,11 @@ class Tuning(Settings):
         if self.bounds is None:
             needed = "bounds (current_ma, pulse_width_us, start_delay_s, extension_s)"
             raise ValueError(f'mode = "{self.mode}" needs {needed}')
+        heights = {"toe_clearance_m": HIGHEST_TOE_M, "sensor_clearance_m": HIGHEST_SENSOR_M}
+        for name, most_m in heights.items():
+            band: Band | None = getattr(self, name)
+            if band is not None and band.high > most_m:
+                raise ValueError(f"{name} is in metres, at most {most_m:g}, got {band.low:g} to {band.high:g}")
         targets = (self.toe_clearance_m, self.sensor_clearance_m, self.pitch_at_contact_deg)
         if self.eversion_at_contact_deg is not None and any(targets):
             raise ValueError("eversion_at_contact_deg is the only target of its channel; the toe is another muscle's")

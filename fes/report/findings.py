@@ -159,15 +159,20 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
         text = f"{channel.name}: {went} {when}: {why}{blamed} ({count_of(len(changes), 'change')}"
         yield Finding("info", f"{text}, {count_of(skipped, 'stride')} taught it nothing).", leads=True)
     else:
+        asked = [row for row in own if row.kind == "suggestion"]
+        made = f"made {count_of(len(asked), 'suggestion')} and no change" if asked else "made no change"
+        newest = f" The last, at {asked[-1].time_s:.1f} s: {asked[-1].text.partition(': ')[2]}." if asked else ""
         yield Finding(
-            "info", f"{channel.name}: tuning made no change; {count_of(skipped, 'stride')} taught it nothing."
+            "info", f"{channel.name}: tuning {made}; {count_of(skipped, 'stride')} taught it nothing.{newest}"
         )
+    if reach := next((row for row in summary.reached if row.channel == channel.channel), None):
+        yield Finding("good" if reach.within else "alert", f"{channel.name}: {reach.text}.")
     if known := [row for row in own if row.kind == "identified"]:
         yield Finding("info", f"{channel.name}, {known[-1].text}.")
     stopped = [row for row in own if STOPPED in row.text]
     back = [row for row in own if row.kind == "roll_back" and row not in stopped and STILL not in row.text]
     hints = [row for row in own if row.kind == "hint"]
-    told = ((faults, "found a fault"), (stopped, "stopped"), (back, "went back"), (hints, "asks for a look"))
+    told = ((faults, "noticed a change"), (stopped, "stopped"), (back, "went back"), (hints, "asks for a look"))
     for rows, what in told:
         if rows:
             often = f" {count_of(len(rows), 'time')}, first" if len(rows) > 1 else ""

@@ -27,6 +27,8 @@ DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command period
 WIDTH_STEP_US = 2.0
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
+HARDLY: Final = 0.01  # mA, µs: less is rounding
+SPENT: Final = 0.99  # of a bound: there is nothing left to give
 STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
 STILL: Final = "still going back"
 SKIPPED: Final = " skipped: "  # the stride taught nothing
@@ -314,6 +316,36 @@ class TuningRow:
 
 
 @dataclass(frozen=True)
+class ReachRow:
+    """How far one channel that tunes itself was commanded, and its tuning's upper bounds.
+
+    ``spent_from_s``: when what the method moves was first as strong as its bound allows; NaN for never.
+    """
+
+    channel: int
+    current_ma: float
+    pulse_width_us: float
+    most_ma: float
+    most_us: float
+    spent_from_s: float
+
+    @property
+    def within(self) -> bool:
+        """Whether nothing was commanded beyond the bounds."""
+        return self.current_ma <= self.most_ma + HARDLY and self.pulse_width_us <= self.most_us + HARDLY
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        where = "never beyond the bounds of its tuning" if self.within else "BEYOND the bounds of its tuning"
+        text = (
+            f"at most {self.current_ma:.1f} mA and {self.pulse_width_us:.0f} µs, {where} ({self.most_ma:g} mA, "
+            f"{self.most_us:g} µs)"
+        )
+        return text + (f"; first all that they allow at {self.spent_from_s:.1f} s" if self.spent_from_s >= 0.0 else "")
+
+
+@dataclass(frozen=True)
 class DoseRow:
     """One channel's electrodes: charge of one phase, as the stimulator counted it (else ``estimated``).
 
@@ -340,6 +372,24 @@ def tuning_rows(notes: Sequence[Note], origin_ns: int) -> tuple[TuningRow, ...]:
             text = note.text[named.end() :] if named else note.text
             kind = next((kind for kind, phrases in _KINDS.items() if any(each in text for each in phrases)), "change")
             rows.append(TuningRow((note.t_ns - origin_ns) / NS_PER_S, int(named[1]) if named else -1, kind, text))
+    return tuple(rows)
+
+
+def reach_rows(
+    settings: Session | None, commands: Mapping[int, CommandColumns], origin_ns: int
+) -> tuple[ReachRow, ...]:
+    """Of every channel that tunes itself and was commanded on."""
+    rows = []
+    for channel in settings.channels if settings else ():
+        tuned, own = channel.tuning, commands.get(channel.number)
+        if tuned is None or tuned.mode == "off" or tuned.bounds is None or own is None or not own.on.any():
+            continue
+        most_ma, most_us = tuned.bounds.current_ma.high, tuned.bounds.pulse_width_us.high
+        moved, most = (own.current_ma, most_ma) if tuned.method == "run_to_run" else (own.pulse_width_us, most_us)
+        at_bound = own.t_ns[own.on & (moved >= SPENT * most)]
+        spent_from_s = (int(at_bound[0]) - origin_ns) / NS_PER_S if at_bound.size else float("nan")
+        peak_ma, peak_us = (float(values[own.on].max()) for values in (own.current_ma, own.pulse_width_us))
+        rows.append(ReachRow(channel.number, peak_ma, peak_us, most_ma, most_us, spent_from_s))
     return tuple(rows)
 
 

@@ -227,6 +227,7 @@ class SessionSummary:
     strides: tuple[StrideRow, ...]
     dose: tuple[stimulation.DoseRow, ...] = ()
     tuning: tuple[stimulation.TuningRow, ...] = ()
+    reached: tuple[stimulation.ReachRow, ...] = ()
     measures: tuple[MeasureRow, ...] = ()
     thresholds: str = ""
     by_hand: tuple[HandRow, ...] = ()
@@ -328,6 +329,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         strides=rows,
         dose=stimulation.dose_rows(record, settings, origin_ns),
         tuning=stimulation.tuning_rows(record.notes, origin_ns),
+        reached=stimulation.reach_rows(settings, commands, origin_ns),
         measures=measure_rows(record, settings),
         thresholds=thresholds_set(settings),
         by_hand=hand_rows(record, origin_ns),

@@ -23,6 +23,13 @@ pulse_width_us = { low = 200.0, high = 350.0 }
 start_delay_s = { low = 0.0, high = 0.2 }
 extension_s = { low = 0.0, high = 0.1 }
 """
+GEOMETRY = """
+[geometry.right_foot]
+toe_forward_m = 0.12
+toe_up_m = -0.06
+heel_forward_m = -0.14
+heel_up_m = -0.06
+"""
 EARLY = BOUNDS | {"extension_s": {"low": -0.1, "high": 0.1}}
 PITCH = {"low": 4.0, "high": 25.0}
 
@@ -49,7 +56,7 @@ def test_a_session_without_tuning_reads_as_it_did_before_there_was_any() -> None
 
 def test_a_session_file_can_ask_for_it(tmp_path: Path) -> None:
     path = tmp_path / "tuned.toml"
-    path.write_text(SETTINGS.read_text() + TUNED)
+    path.write_text(SETTINGS.read_text() + TUNED + GEOMETRY)
     session = load_session(path)
     tuned = session.channels[0].tuning
     assert tuned is not None
@@ -57,6 +64,17 @@ def test_a_session_file_can_ask_for_it(tmp_path: Path) -> None:
     assert tuned.bounds is not None
     assert tuned.bounds.current_ma.high == 36.0
     assert Session.model_validate_json(session.model_dump_json()) == session
+
+
+def test_a_target_that_nothing_can_measure_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "tuned.toml"
+    path.write_text(SETTINGS.read_text() + TUNED)
+    with pytest.raises(ConfigError, match=r"cannot be measured without \[geometry\.right_foot\]"):
+        load_session(path)
+    stand_in = "sensor_clearance_m = { low = 0.1, high = 0.2 }\n\n[channels.tuning.bounds]"
+    for text in (TUNED.replace('"suggest"', '"off"'), TUNED.replace("[channels.tuning.bounds]", stand_in)):
+        path.write_text(SETTINGS.read_text() + text)
+        assert load_session(path).channels[0].tuning
 
 
 def test_a_misspelt_setting_is_named_with_its_line(tmp_path: Path) -> None:
@@ -72,6 +90,8 @@ def test_a_misspelt_setting_is_named_with_its_line(tmp_path: Path) -> None:
         ({"bounds": None}, "needs bounds"),
         ({"toe_clearance_m": None}, "needs a target"),
         ({"toe_clearance_m": {"low": 0.03, "high": 0.01}}, "must be below"),
+        ({"toe_clearance_m": {"low": 20.0, "high": 50.0}}, "toe_clearance_m is in metres, at most 0.2, got 20 to 50"),
+        ({"sensor_clearance_m": {"low": 10.0, "high": 20.0}}, "sensor_clearance_m is in metres, at most 1"),
         ({"bounds": BOUNDS | {"current_ma": {"low": 40.0, "high": 10.0}}}, "must not be above"),
         ({"bounds": BOUNDS | {"extension_s": {"low": -0.2, "high": 0.1}}}, "greater than or equal to -0.1"),
         ({"bounds": BOUNDS | {"start_delay_s": {"low": -0.1, "high": 0.1}}}, "greater than or equal to 0"),

@@ -182,6 +182,7 @@ def test_a_patient_from_a_file_and_its_faults(tmp_path: Path) -> None:
     file.write_text('[patient]\nseverity = "mild"\nheight_m = 1.6\n[patient.muscle]\nmax_torque_nm = 9.0\n', "utf-8")
     settings = load_patient(file, seed=5)
     assert (settings.voluntary_dorsiflexion, settings.height_m, settings.muscle.max_torque_nm) == (0.5, 1.6, 9.0)
+    assert load_patient(file, severity="severe").voluntary_dorsiflexion == 0.0
     for text, said in (
         ("[patient]\nweight = 3\n", "has no 'weight'"),
         ("[walker]\n", r"one table, \[patient\]"),

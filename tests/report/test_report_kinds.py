@@ -200,7 +200,7 @@ def test_a_foot_that_stopped_answering_is_a_warning() -> None:
 def test_an_electrode_that_slipped_is_a_warning_that_says_when(more: str) -> None:
     why = f"stride 5: something has changed that stimulation did not: most likely the electrodes; look at it{more}"
     record = replace(make.walk(6), notes=[Note(make.at(8.0), "warning", "tuning", f"channel 0: {why}")])
-    said = f"TA left: tuning found a fault at 8.0 s: {why.removesuffix(more)}."
+    said = f"TA left: tuning noticed a change at 8.0 s: {why.removesuffix(more)}."
     assert said in texts(summarise(record), "warning"), "what was done about it stands elsewhere"
     raised = "toe clearance 9 mm (target 20–50) in this stride, more is needed: current 28.0 → 30.0 mA"
     change = Note(make.at(6.0), "info", "tuning", f"channel 0: {raised}")

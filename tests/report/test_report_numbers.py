@@ -327,6 +327,7 @@ def test_json_keys_are_stable_and_nan_is_null():
             "strides",
             "dose",
             "tuning",
+            "reached",
             "by_hand",
             "exercise",
             "measures",

@@ -312,9 +312,8 @@ def test_a_foot_that_has_reached_its_targets_answers_though_it_tires_at_the_boun
     assert (NO_ANSWER in said) == (reached < 3)
 
 
-def fallen(slope: float, levels: list[float], drives: list[float], threshold: float = 0.0) -> list[str]:
-    """What is said of a foot that answered by this slope, from a threshold on, until a fault in the first two of these
-    strides."""
+def fallen(slope: float, levels: list[float], drives: list[float]) -> list[str]:
+    """What is said of a foot that answered by this slope until a fault in the first two of these strides."""
     monitor, model = AnswerMonitor(), ResponseModel()
     own, band = BurstParameters.for_channel(channel()), Band(**PITCH)
 
@@ -322,7 +321,7 @@ def fallen(slope: float, levels: list[float], drives: list[float], threshold: fl
         return Reading((Measure(TOE_UP, PITCH["low"] + at * (PITCH["high"] - PITCH["low"]), band, 1.0, "°"),))
 
     for drive in (0.2, 0.3, 0.4, 0.5, 0.6, 0.55, 0.6, 0.5, 0.6):
-        level = -0.9 + slope * max(drive - threshold, 0.0)
+        level = -0.9 + slope * drive
         model.add(reading(level), {TOE_UP: drive})
         monitor.stride(reading(level), {TOE_UP: drive}, own, model, spent=False)
     seen = [(reading(level), {TOE_UP: drive}) for level, drive in zip(levels, drives, strict=True)]
@@ -342,12 +341,6 @@ def test_after_a_fault_it_is_given_up_once_more_does_nothing(
     levels: list[float], drives: list[float], lost: bool
 ) -> None:
     assert (NO_ANSWER in fallen(2.0, levels, drives)) == lost
-
-
-@pytest.mark.parametrize("threshold", [0.0, 0.4])
-def test_a_slipped_electrode_whose_pulses_do_not_reach_the_threshold_yet_is_given_more(threshold: float) -> None:
-    levels, drives = [-0.8] * 10, [0.5, 0.5, 0.6, 0.6, *[0.66] * 6]
-    assert (NO_ANSWER in fallen(2.0, levels, drives, threshold)) == (threshold == 0.0)
 
 
 @pytest.mark.parametrize("to", [-0.6, 0.05])

@@ -16,10 +16,12 @@ from tuning_plant import BAND, BOUNDS, Plant, channel, charge_of, stride, tuning
 from fes.config import Band, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.tuning.delay import DelayEstimate
 from fes.stimulation.tuning.demand import Demand, room
 from fes.stimulation.tuning.guardrails import spent
-from fes.stimulation.tuning.report import TuningReport
-from fes.stimulation.tuning.targets import Measure
+from fes.stimulation.tuning.report import TuningReport, identified
+from fes.stimulation.tuning.response import ResponseModel
+from fes.stimulation.tuning.targets import Measure, Reading, read_stride
 from fes.stimulation.tuning.timing import SpeedTiming
 from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner
 
@@ -283,9 +285,22 @@ def test_now_and_then_it_says_what_it_has_identified() -> None:
     said = [report for report in done.reports if report.kind == "identified"]
     assert said
     assert said[-1].before == said[-1].after
-    for words in ("identified: threshold ", " ± ", " mA, ", "toe clearance ", " mm/mA", "°/mA", "answer ", "ms after"):
+    for words in ("identified: threshold ", " ± ", " mA, ", "toe clearance ", " mm/mA"):
         assert words in said[-1].text
+    unknown = "; not known yet: what changes foot pitch at contact, the delay"  # this foot's pitch never changes
+    assert said[-1].text.endswith(unknown)
     assert done.tuner.model.threshold.sd < 0.2
+
+
+def test_nothing_is_identified_where_nothing_was_tried() -> None:
+    model, tuned = ResponseModel(), tuning(pitch_at_contact_deg={"low": 4.0, "high": 25.0})
+    reading = read_stride(stride(0, 0.02), tuned)
+    assert isinstance(reading, Reading)
+    assert identified(model, DelayEstimate().delay_s, tuned) == ""
+    for _ in range(20):
+        model.add(reading, dict.fromkeys(reading.levels, 0.4))
+    unknown = "the threshold, what lifts toe clearance, what changes foot pitch at contact, the delay"
+    assert identified(model, DelayEstimate().delay_s, tuned) == f"identified: not known yet: {unknown}"
 
 
 @pytest.mark.parametrize("method", ["run_to_run", "learning"])
@@ -315,15 +330,17 @@ def paced(number: int, factor: float) -> Any:
     return stride(number, 0.02, duration_s=1.4 * factor, pre_swing_s=0.4 * factor, swing_s=0.5 * factor)
 
 
-@pytest.mark.parametrize(("toe_m", "lowered_us"), [(0.026, 20.0), (0.004, 4.0)])
+@pytest.mark.parametrize(
+    ("toe_m", "last_m", "lowered_us"), [(0.026, 0.026, 20.0), (0.004, 0.004, 4.0), (0.02, 0.008, 4.0)]
+)
 def test_what_lies_above_its_band_goes_at_once_only_where_nothing_lies_below_its_own(
-    toe_m: float, lowered_us: float
+    toe_m: float, last_m: float, lowered_us: float
 ) -> None:
     """The foot's pitch at contact does, at the end of the burst; the toe is carried by its begin."""
     tuner = Tuner(channel(tuning(method="learning", pitch_at_contact_deg={"low": 4.0, "high": 12.0})))
-    for number in range(4):
+    for number, clearance_m in enumerate((toe_m,) * 3 + (last_m,)):
         before = tuner.parameters
-        tuner.observe(number, stride(number, toe_m, 25.0), charge_of(before), 1.0)
+        tuner.observe(number, stride(number, clearance_m, 25.0), charge_of(before), 1.0)
     assert before.widths_us[-1] - tuner.parameters.widths_us[-1] == pytest.approx(lowered_us, abs=1.0)
 
 

@@ -356,8 +356,8 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
             contact_ns = arrives_ns
         if leaves_ns - off_ns > TOE_LEAVES_BY * (contact_ns - off_ns) and leaves_ns < contact_ns:
             off_ns = leaves_ns
-    swing_ns = contact_ns - off_ns
-    begin, end = off_ns + MID_SWING_BEGIN * swing_ns, off_ns + MID_SWING_END * swing_ns
+    lasts_ns = contact_ns - off_ns
+    begin, end = off_ns + MID_SWING_BEGIN * lasts_ns, off_ns + MID_SWING_END * lasts_ns
     toe_start = heel_start = 0.0
     least, most = math.inf, -math.inf
     for i in range(t_ns.shape[0]):

@@ -245,7 +245,8 @@ def load_patient(path: Path, **others: object) -> PatientSettings:
             if not isinstance(values["sensors"], list):
                 raise ValueError(f'sensors = {values["sensors"]!r}: must be a list of names, e.g. ["left_foot"]')
             values["sensors"] = tuple(values["sensors"])
-        return settings_for(values.pop("severity", "moderate"), **{**values, **others})
+        values = {**values, **others}
+        return settings_for(values.pop("severity", "moderate"), **values)
     except (ValueError, TypeError) as error:
         raise error if str(error).startswith(f"{path}: ") else ValueError(f"{path}: {error}") from error
 

@@ -34,7 +34,6 @@ FELL, FAR = 0.5, 0.6  # bands, in every measure: with the bound spent, and with 
 MORE: Final = 0.15  # of the bound: a loose electrode would have been made up for
 NOW: Final = 5  # newest strides, held against those that a fault was told by
 SHOULD: Final = 0.1  # bands that what was given since should have lifted the foot by, less a standard deviation …
-SLIPPED: Final = 0.6  # of the drive, at least, arrives of an electrode that is still on
 ANSWERED: Final = 0.1  # … of which so much has to come
 REACHED: Final = 3  # strides in a row within the targets: this foot answers, or needs nothing
 
@@ -141,8 +140,7 @@ class AnswerMonitor:
             lift = median(levels[name] for _, levels in now) - min(levels[name] for _, levels in then)
             drive = [median(drives[name] for drives, _ in part) for part in (then, now)]
             slope = self._before.slope(name)
-            arrives = [self._before.expected(name, SLIPPED * each).value for each in drive]
-            should = arrives[1] - arrives[0]
+            should = self._before.expected(name, drive[1]).value - self._before.expected(name, drive[0]).value
             should *= max(1.0 - slope.sd / max(abs(slope.value), 1e-6), 0.0)
             if should > SHOULD and drive[1] >= drive[0] + MORE:
                 answered.append(lift > ANSWERED * should)

@@ -68,7 +68,7 @@ def _beside(
     if geometry is None:
         return np.zeros(int(inside.sum()))
     heights = toe_heights_m(stride, geometry)[inside]
-    least = max(heights.min(), stride.toe_clearance_m)  # a toe below what was measured has not left the ground yet
+    least = max(heights.min(), stride.toe_clearance_m)  # where it stands lower it asks as measured
     return np.asarray(np.maximum(heights - least, 0.0) / span)
 
 

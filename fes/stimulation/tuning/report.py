@@ -1,14 +1,16 @@
 """What the tuning says: each change with its reason, what was identified, in the units that people read."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from fes.config import Tuning
-from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.envelope import BIN_S, BurstParameters
+from fes.stimulation.tuning.delay import USUAL_SD_S
 from fes.stimulation.tuning.demand import Demand
-from fes.stimulation.tuning.response import Known, ResponseModel
+from fes.stimulation.tuning.response import SLOPE_SD, THRESHOLDS, Known, ResponseModel
 from fes.stimulation.tuning.targets import PITCH, ROLL
 
+LEARNT: Final = 0.75  # of what was uncertain beforehand: more is not known yet
 Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen", "identified"]
 
 
@@ -43,13 +45,13 @@ def difference(before: BurstParameters, after: BurstParameters) -> str:
     changes = []
     if after.current_ma != before.current_ma:
         changes.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
-    moved = [(b, a) for b, a in zip(before.widths_us, after.widths_us, strict=True) if a != b]
-    if moved:
-        most = max(moved, key=lambda pair: abs(pair[1] - pair[0]))
-        changes.append(
-            f"pulse width {most[0]:.0f} → {most[1]:.0f} µs where it changes most "
-            f"(mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs)"
-        )
+    moved = [a - b for b, a in zip(before.widths_us, after.widths_us, strict=True)]
+    if any(moved):
+        k = max(range(len(moved)), key=lambda k: abs(moved[k]))
+        width = f"pulse width {before.widths_us[k]:.0f} → {after.widths_us[k]:.0f} µs"
+        even = len(set(before.widths_us)) == len(set(after.widths_us)) == 1
+        mean = f"mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs"
+        changes.append(width if even else f"{width} {k * BIN_S:.2f} s into the burst, where it changes most ({mean})")
     for name, key in (("start delay", "start_delay_s"), ("extension", "extension_s")):
         was, becomes = getattr(before, key), getattr(after, key)
         if was != becomes:
@@ -80,18 +82,30 @@ def reason(demand: Demand, *, stand_in: str = "") -> str:
 
 
 def identified(model: ResponseModel, delay_s: Known, tuning: Tuning) -> str:
-    """Threshold, slopes and delay with their standard deviations, in words; "" where nothing is known."""
+    """Threshold, slopes and delay with their standard deviations, or that they are not known yet; "" at first."""
     bounds = tuning.bounds
     if bounds is None or not model.strides:
         return ""
     most, unit = (bounds.current_ma.high, "mA") if tuning.method == "run_to_run" else (bounds.pulse_width_us.high, "µs")
-    parts = [f"threshold {most * model.threshold.value:.0f} ± {most * model.threshold.sd:.0f} {unit}"]
+    known, unknown = [], []
+    if model.threshold.sd < LEARNT * THRESHOLDS.std():
+        known.append(f"threshold {most * model.threshold.value:.0f} ± {most * model.threshold.sd:.0f} {unit}")
+    else:
+        unknown.append("the threshold")
     for name, (span, shown) in _spans(tuning).items():
-        if model.knows(name):
-            slope = model.slope(name)
-            parts.append(f"{name} {span * slope.value / most:.2g} ± {span * slope.sd / most:.1g} {shown}/{unit}")
-    parts.append(f"answer {1e3 * delay_s.value:.0f} ± {1e3 * delay_s.sd:.0f} ms after the pulse")
-    return "identified: " + ", ".join(parts)
+        if not model.knows(name):
+            continue
+        slope = model.slope(name)
+        if slope.sd < min(abs(slope.value), LEARNT * SLOPE_SD):
+            known.append(f"{name} {span * slope.value / most:.2g} ± {span * slope.sd / most:.1g} {shown}/{unit}")
+        else:
+            unknown.append(f"what lifts {name}" if name not in (PITCH, ROLL) else f"what changes {name}")
+    if delay_s.sd < LEARNT * USUAL_SD_S:
+        known.append(f"answer {1e3 * delay_s.value:.0f} ± {1e3 * delay_s.sd:.0f} ms after the pulse")
+    else:
+        unknown.append("the delay")
+    parts = [", ".join(known)] if known else []
+    return "identified: " + "; ".join(parts + ([f"not known yet: {', '.join(unknown)}"] if unknown else []))
 
 
 def _spans(tuning: Tuning) -> dict[str, tuple[float, str]]:

@@ -24,7 +24,7 @@ import numpy as np
 from fes.signals import FloatArray
 from fes.stimulation.tuning.targets import Reading
 
-THRESHOLDS: Final = np.arange(1, 20) * 0.05  # (H,) shares of the bound
+THRESHOLDS: Final[FloatArray] = np.arange(1, 20, dtype=np.float64) * 0.05  # (H,) shares of the bound
 BARE, BARE_SD = -0.3, 1.0  # bands, before anything is known; the first stride tells nearly all of it
 SLOPE, SLOPE_SD = 2.5, 1.5  # bands over the whole range: feet differ tenfold, a few answer the other way round
 SLOPE_WALK: Final = 0.05  # a stride
@@ -171,7 +171,7 @@ class ResponseModel:
     @property
     def threshold(self) -> Known:
         """A share of the upper bound."""
-        return self._mixed(np.asarray(THRESHOLDS), np.zeros(len(THRESHOLDS)))
+        return self._mixed(THRESHOLDS, np.zeros(len(THRESHOLDS)))
 
     def _mixed(self, mean: FloatArray, variance: FloatArray) -> Known:
         """Of what is known given each threshold, (H,) both, by their probabilities."""

@@ -13,7 +13,7 @@ swing is short of its reference: the toe's height in mid-swing, foot pitch (or r
 it into drive by the identified response (threshold and slope), ``d`` is the identified delay from pulse to movement;
 before the end of mid-swing a pulse answers for all that is left of it.
 The swing's length varies, so only what the last swing reached is updated (variable pass length). Q averages over
-neighbours, no greater than 1 at any frequency, and takes nothing from a bin that asks for more.
+neighbours (no greater than 1 at any frequency), but lowers no bin that asks for more.
 """
 
 from collections import deque
@@ -159,15 +159,15 @@ class BurstShape:
 
     def learnt(
         self, base: BurstParameters, zones: Zones, delay_s: float, times_s: Sequence[float],
-        missing: Sequence[float], intensity: float, *, above: bool,
+        missing: Sequence[float], intensity: float, *, at_once: bool,
     ) -> BurstParameters:  # fmt: skip
         """Learning: ``base`` with the profile that the last swing's samples ask for, before any limit or bound.
 
-        ``above``: whether a measure lies above its band, so that all that is too much may go at once.
+        ``at_once``: whether all that is too much may go at once, for a measure lies above its band and none below.
         """
         per_drive_us = self._channel.pulse_width_us * self._most / intensity
         most_us = self._tuning.max_change_us
-        least_us = -most_us if above else -max(LOWERED * most_us, min(QUANTUM_US, most_us))
+        least_us = -most_us if at_once else -max(LOWERED * most_us, min(QUANTUM_US, most_us))
         drives = missing_drives(zones, delay_s, times_s, missing)
         steps_us = [max(per_drive_us * step, least_us) for step in drives]
         return replace(base, widths_us=tuple(next_profile(base.widths_us, steps_us)))

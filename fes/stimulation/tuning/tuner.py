@@ -250,6 +250,10 @@ class Tuner:
         if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
             return report
         known = self.memory.remembered() if other_speed else None
+        if known is not None and reading.level < 0.0:  # then it may only help: no weaker, and no later or shorter
+            now = self.parameters
+            known = at_least(replace(now, current_ma=known.current_ma, widths_us=known.widths_us), now)
+            known = known if difference(now, limited(now, known, self.tuning)) else None
         return self._tune(t_ns, stride, reading, demands_of(self.model, reading, drives), zones, intensity, known)
 
     def _on_bare(self, reading: Reading | str) -> None:
@@ -436,7 +440,7 @@ class Tuner:
             wanted = self._shape.scaled(wanted, 1.0 + self._excited * EXCITATION / max(demands[0].drive, EXCITATION))
             self._excited = -self._excited
         after = limited(before, wanted, self.tuning)
-        if self._spared or (known is not None and reading.level < 0.0):
+        if self._spared:
             after = at_least(after, before)  # the hold, or a part of the profile, that less would do for
         if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
@@ -475,9 +479,9 @@ class Tuner:
         missing = missing_drive(stride, zones.times, demands, self.model, self.geometry, self.tuning.gain)
         if not missing.times_s:
             return wanted
-        above = max(max(demand.usual, demand.measure.level) for demand in demands) > 1.0
-        above = above and min(demand.usual for demand in demands) >= 0.0
-        return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity, above=above)
+        levels = [level for demand in demands for level in (demand.usual, demand.measure.level)]
+        at_once = max(levels) > 1.0 and min(levels) >= 0.0
+        return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity, at_once=at_once)
 
     def _propose(self, t_ns: int, after: BurstParameters, text: str) -> TuningReport | None:
         before = self.parameters
