@@ -24,7 +24,9 @@ GO_ON: Final = 3  # times, where a busy computer makes the session switch off
 LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
 TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
-    "The strides' toe heights are the true ones; the controller measures some 1 mm more, and aims at that."
+    "The strides' toe heights are the true ones; the controller measures some 1 mm more, and aims at that.\n"
+    f"A stride clears where the toe passes {demo.LOW_MM:.0f} mm or more above the ground, or else is low, dragged or "
+    "stumbled.\nSeconds are the patient's; the report's are of its log, which begins some seconds before the walk."
 )
 
 
@@ -182,7 +184,8 @@ def _show(result: dict[str, Any], *, as_json: bool) -> None:
         f"Harm in {harm['strides']} strides: {count_of(harm['stumbles'], 'stumble')}, "
         f"{count_of(harm['drags'], 'drag')}, {count_of(harm['early_bursts'], 'burst')} against the push-off "
         f"({harm['push_off_lost']:.0%} of its work lost), "
-        f"{count_of(harm['inverted_contacts'], 'landing')} inverted, {count_of(harm['spasms'], 'spasm')}, "
+        f"{count_of(harm['inverted_contacts'], 'landing')} inverted by more than 5° (one channel lifts, none everts), "
+        f"{count_of(harm['spasms'], 'spasm')}, "
         f"co-contraction {harm['co_contraction_nms']:.1f} N·m·s and {harm['charge_uc']:.0f} µC a stride."
     )
     if process := result.get("patient_process"):

@@ -18,7 +18,13 @@ WORDS: Final = {
     OperatorAction.EMERGENCY_STOP: STOP,
     OperatorAction.TEST_BURST: "test burst",
     OperatorAction.TRIGGER: "manual burst",
+    OperatorAction.SET_INTENSITY: "intensity",
+    OperatorAction.FREEZE_TUNING: "tuning frozen",
+    OperatorAction.RESUME_TUNING: "tuning told to go on",
+    OperatorAction.ACCEPT_SUGGESTION: "suggestion accepted",
+    OperatorAction.ROLL_BACK: "settings rolled back",
 }
+FULL: Final = "intensity 100%"
 NOBODYS: Final = ("(button lost)", "(the keyboard is gone")  # stops that the session makes by itself
 CAUSE: Final = re.compile(r"state .* \((.*)\)")
 
@@ -34,12 +40,13 @@ class HandRow:
 
 
 def hand_rows(record: WalkRecord, origin_ns: int) -> tuple[HandRow, ...]:
-    """By time; a stop pressed again before the next arming belongs to the first."""
+    """By time; a stop pressed again before the next arming belongs to the first, and of an intensity that is set in
+    steps the last one counts."""
     said: dict[int, list[str]] = {}
     for note in record.notes:
         if note.source == "session":
             said.setdefault(note.t_ns, []).append(note.text)
-    rows = []
+    rows: list[HandRow] = []
     stopped = False
     for act in sorted(record.acts, key=lambda act: act.t_ns):
         stops = act.action is OperatorAction.EMERGENCY_STOP
@@ -48,6 +55,10 @@ def hand_rows(record: WalkRecord, origin_ns: int) -> tuple[HandRow, ...]:
         stopped = stops or (stopped and act.action is not OperatorAction.ARM)
         channel = int(act.value) if act.action in BY_HAND_NS else -1
         text = WORDS[act.action] if channel >= 0 else _as_said(act.action, said.get(act.t_ns, []))
+        if act.action is OperatorAction.SET_INTENSITY:
+            text = f"{text} {act.value:.0%}"
+            if rows and rows[-1].action == act.action:
+                rows.pop()
         rows.append(HandRow((act.t_ns - origin_ns) / NS_PER_S, str(act.action), channel, text))
     return tuple(rows)
 
@@ -68,7 +79,9 @@ def is_stop_note(source: str, text: str) -> bool:
 
 
 def summed_up(rows: Sequence[HandRow]) -> str:
-    """Bursts and stops; "" where nobody asked for any."""
+    """Bursts, stops, and an intensity that was left below the session's; "" for none of these."""
+    left = [row for row in rows if row.action == OperatorAction.SET_INTENSITY][-1:]
+    lowered = [f"{row.text} from {row.time_s:.1f} s on" for row in left if row.text != FULL]
     bursts = Counter(row.text for row in rows if row.channel >= 0)
     stops = [f"{row.text} at {row.time_s:.1f} s" for row in rows if row.action == OperatorAction.EMERGENCY_STOP]
-    return ", ".join([*(count_of(count, what) for what, count in bursts.items()), *stops])
+    return ", ".join([*(count_of(count, what) for what, count in bursts.items()), *stops, *lowered])

@@ -144,6 +144,7 @@ def closing_block(summary: SessionSummary) -> RenderableType:
     if done := summed_up(summary.by_hand):
         lines.append(Text(f"  by hand: {done}"))
     every = findings(summary)
+    lines += [Text(f"  {each.text}") for each in every if each.leads]
     look = [each for level in ("alert", "warning") for each in every if each.level == level]
     for finding in look[:CLOSING_FINDINGS]:
         mark, style = MARKS[finding.level]

@@ -244,7 +244,11 @@ def examined(path: Path | None, out: Path | None, stop_file: Path | None, hours:
         try:
             session = load_session(path)
         except ConfigError as error:
-            yield failure("session", str(error), "correct the file; docs/sessions.md lists every setting")
+            yield failure(
+                "session",
+                str(error),
+                "correct the file; docs/sessions.md lists every setting, docs/tuning.md those of tuning",
+            )
         else:
             yield from settings(path, session, stop_file)
     elif stop_file:
