@@ -247,6 +247,16 @@ def test_a_burst_by_hand_that_outlasts_what_was_asked_for_is_outside_from_then_o
     assert channel.outside_s == pytest.approx(2.0 - 0.5 - 0.1 - 0.1, abs=0.1)
 
 
+def test_an_intensity_set_in_steps_and_what_a_person_told_the_tuning_are_by_hand():
+    steps = [OperatorAct(make.at(3 + 0.1 * k), OperatorAction.SET_INTENSITY, 0.1 * k) for k in range(1, 6)]
+    record = record_of(make.stride(0, 1.0), acts=[*steps, act(OperatorAction.FREEZE_TUNING, 5.0)])
+    rows = summarise(record).by_hand
+    assert [row.text for row in rows] == ["intensity 50%", "tuning frozen"]
+    assert f"By hand: intensity 50% from {rows[0].time_s:.1f} s on." in [f.text for f in findings(summarise(record))]
+    record.acts = [*record.acts, OperatorAct(make.at(6), OperatorAction.SET_INTENSITY, 1.0)]
+    assert not any(f.text.startswith("By hand") for f in findings(summarise(record)))
+
+
 def test_one_emergency_stop_is_one_event_and_no_fault():
     record = record_of(make.stride(0, 1.0), acts=[act(STOP, 5.0), act(STOP, 5.2)])
     record.notes = [

@@ -12,6 +12,7 @@ from report_records import T0, S, channel, header, walk
 from rich.console import Console
 from test_one_process import run
 
+from fes.report.findings import findings
 from fes.report.page import render_report
 from fes.report.stimulation import TuningRow, dose_rows, tuning_rows
 from fes.report.summary import summarise
@@ -62,6 +63,27 @@ def test_every_kind_of_note_is_told_apart() -> None:
 def ran(tmp_path_factory: pytest.TempPathFactory) -> SessionRecord:
     _, log = run(tmp_path_factory.mktemp("tuned"), "tuned.feslog", 26.0)
     return read_session(log)
+
+
+def test_how_far_it_was_commanded_stands_beside_the_bounds(ran: SessionRecord) -> None:
+    summary = summarise(ran)
+    (row,) = summary.reached
+    on = [command for command in ran.commands if command.on]
+    assert row.current_ma == max(command.current_ma for command in on)
+    assert row.pulse_width_us == max(command.pulse_width_us for command in on)
+    assert row.within
+    assert f"{row.text}." in " ".join(finding.text for finding in findings(summary) if finding.level == "good")
+    beyond = replace(row, most_ma=row.current_ma - 1.0, spent_from_s=7.0)
+    assert not beyond.within
+    assert beyond.text.endswith("µs); first all that they allow at 7.0 s")
+
+
+def test_suggestions_are_told_where_nothing_was_changed() -> None:
+    said = [Note(T0 + n * S, "info", "tuning", f"channel 0: {TEXTS['suggestion']}") for n in (4, 9)]
+    told = [finding.text for finding in findings(summarise(replace(walk(), notes=said)))]
+    (text,) = [each for each in told if "suggestion" in each]
+    assert "tuning made 2 suggestions and no change" in text
+    assert "The last, at 9.0 s: toe clearance 4 mm: current 30.0 → 32.0 mA." in text
 
 
 def test_the_ledger_of_the_log_is_that_of_the_controller(ran: SessionRecord) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 from random import Random
 
+import numpy as np
 import pytest
 from tuning_plant import BAND, BOUNDS, channel, charge_of, stride, tuning
 
@@ -14,6 +16,7 @@ from fes.config import Session as Settings
 from fes.signals import OperatorAct, OperatorAction
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, AnswerMonitor
+from fes.stimulation.tuning.guardrails import spent
 from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.response import Known, ResponseModel
 from fes.stimulation.tuning.session import Tuners
@@ -259,6 +262,22 @@ def test_not_reached_below_the_bound_is_not_said_to_be_at_it() -> None:
     assert tuner.parameters.current_ma < BOUNDS["current_ma"]["high"]
     assert len(hints) == 1
     assert "is not reached below the upper bound" in hints[0]
+
+
+@pytest.mark.parametrize(("method", "inverted_deg"), [("run_to_run", 4.9), ("learning", 4.0)])
+def test_a_channel_that_moves_nothing_says_that_its_bound_is_spent_though_the_foot_lies_in_its_band(
+    method: str, inverted_deg: float
+) -> None:
+    tuned = tuning(method=method, toe_clearance_m=None, eversion_at_contact_deg={"low": -5.0, "high": 5.0})
+    tuner, reports, random = Tuner(channel(tuned)), [], Random(1)
+    for number in range(60):
+        roll = np.full(101, math.radians(inverted_deg + random.gauss(0.0, 0.3)))  # whatever is given
+        walked = stride(number, 0.02, roll_rad=roll)
+        if report := tuner.observe(number * SECOND, walked, charge_of(tuner.parameters), 1.0):
+            reports.append(report)
+    (hint,) = (report.text for report in reports if report.kind == "hint")
+    assert "lies in its band, what is aimed at there is not reached at the upper bound" in hint
+    assert spent(tuner.parameters, tuned)
 
 
 @pytest.mark.parametrize(("drives", "lost"), [([0.9] * 3, True), ([0.8] * 3, False), ([0.9, 0.9, 0.8], False)])

@@ -121,10 +121,12 @@ def test_it_is_raised_at_once_and_within_the_bands_lowered_by_fifths(at_once: bo
     zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
 
     def moved_us(missing: float) -> float:
-        return shape.learnt(base, zones, 0.1, [0.5], [missing], 1.0, at_once=at_once).widths_us[3] - 200.0
+        return shape.learnt(base, zones, 0.1, [0.5], [missing], 1.0, at_once=at_once, short=False).widths_us[3] - 200.0
 
     assert moved_us(1.0) == pytest.approx(300.0)  # whatever one stride allows comes of it later
     assert moved_us(-1.0) == pytest.approx(-tuned.max_change_us * (1.0 if at_once else 0.2))
+    held = shape.learnt(base, zones, 0.1, [0.5], [-1.0], 1.0, at_once=at_once, short=True)
+    assert held == base  # mid-swing is short
 
 
 def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:
@@ -264,7 +266,9 @@ def test_however_little_a_stride_may_change_it_is_lowered() -> None:
     tuned = tuning(method="learning", max_change_us=3.0)
     shape = BurstShape(channel(tuned), tuned, 1.0)
     zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
-    after = shape.learnt(BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40), zones, 0.1, [0.5], [-1.0], 1.0, at_once=False)
+    after = shape.learnt(
+        BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40), zones, 0.1, [0.5], [-1.0], 1.0, at_once=False, short=False
+    )
     assert after.widths_us[3] == pytest.approx(199.0)
 
 

@@ -331,7 +331,7 @@ def paced(number: int, factor: float) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("toe_m", "last_m", "lowered_us"), [(0.026, 0.026, 20.0), (0.004, 0.004, 4.0), (0.02, 0.008, 4.0)]
+    ("toe_m", "last_m", "lowered_us"), [(0.026, 0.026, 20.0), (0.004, 0.004, 0.0), (0.02, 0.008, 4.0)]
 )
 def test_what_lies_above_its_band_goes_at_once_only_where_nothing_lies_below_its_own(
     toe_m: float, last_m: float, lowered_us: float

@@ -26,7 +26,7 @@ from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
 from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, room
-from fes.stimulation.tuning.guardrails import QUANTUM_MA, QUANTUM_US, limited
+from fes.stimulation.tuning.guardrails import QUANTUM_MA, QUANTUM_US, at_least, limited
 from fes.stimulation.tuning.report import reason
 from fes.stimulation.tuning.targets import Reading, SwingTimes, interpolate, swing_times
 
@@ -159,18 +159,21 @@ class BurstShape:
 
     def learnt(
         self, base: BurstParameters, zones: Zones, delay_s: float, times_s: Sequence[float],
-        missing: Sequence[float], intensity: float, *, at_once: bool,
+        missing: Sequence[float], intensity: float, *, at_once: bool, short: bool,
     ) -> BurstParameters:  # fmt: skip
         """Learning: ``base`` with the profile that the last swing's samples ask for, before any limit or bound.
 
-        ``at_once``: whether all that is too much may go at once, for a measure lies above its band and none below.
+        ``at_once``: whether all that is too much may go at once, for a measure lies above its band and none below;
+        ``short``: whether mid-swing's lies below, so that nothing is lowered: what is too much for contact may help.
         """
         per_drive_us = self._channel.pulse_width_us * self._most / intensity
         most_us = self._tuning.max_change_us
         least_us = -most_us if at_once else -max(LOWERED * most_us, min(QUANTUM_US, most_us))
+        least_us = 0.0 if short else least_us
         drives = missing_drives(zones, delay_s, times_s, missing)
         steps_us = [max(per_drive_us * step, least_us) for step in drives]
-        return replace(base, widths_us=tuple(next_profile(base.widths_us, steps_us)))
+        after = replace(base, widths_us=tuple(next_profile(base.widths_us, steps_us)))
+        return at_least(after, base) if short else after
 
     def why_held(
         self, before: BurstParameters, after: BurstParameters, demands: tuple[Demand, ...], led: Demand

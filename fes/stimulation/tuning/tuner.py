@@ -455,7 +455,7 @@ class Tuner:
                 why += self._shape.why_held(before, after, demands, worst)
             return self._propose(t_ns, after, f"{why}: {changes}")
         self.pending = None
-        return self._hint_if_unreached(t_ns, reading) or self._identified(t_ns)
+        return self._hint_if_unreached(t_ns, reading, short=error > 0.0) or self._identified(t_ns)
 
     def _worth_knowing(self, demands: tuple[Demand, ...]) -> str:
         """Why a step too small to be felt is made though nothing is missing; "" for none."""
@@ -481,7 +481,9 @@ class Tuner:
             return wanted
         levels = [level for demand in demands for level in (demand.usual, demand.measure.level)]
         at_once = max(levels) > 1.0 and min(levels) >= 0.0
-        return self._shape.learnt(wanted, zones, self.delay.delay_s.value, *missing, intensity, at_once=at_once)
+        short = any(demand.usual < 0.0 for demand in demands if not demand.measure.at_contact)
+        delay_s = self.delay.delay_s.value
+        return self._shape.learnt(wanted, zones, delay_s, *missing, intensity, at_once=at_once, short=short)
 
     def _propose(self, t_ns: int, after: BurstParameters, text: str) -> TuningReport | None:
         before = self.parameters
@@ -504,15 +506,19 @@ class Tuner:
         self._reported = self.model.strides
         return self._report(t_ns, "identified", identified(self.model, self.delay.delay_s, self.tuning))
 
-    def _hint_if_unreached(self, t_ns: int, reading: Reading) -> TuningReport | None:
-        self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
+    def _hint_if_unreached(self, t_ns: int, reading: Reading, *, short: bool) -> TuningReport | None:
+        """``short``: whether more is asked for, be it within the band."""
+        all_given = spent(self.parameters, self.tuning)
+        self._unreached = self._unreached + 1 if reading.level < 0.0 or (short and all_given) else 0
         if self._unreached != UNREACHED_STRIDES:
             return None
-        if spent(self.parameters, self.tuning):
+        where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
+        if all_given:
             where = "at the upper bound: look at electrodes, fatigue and target"
-        else:
-            where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
-        return self._report(t_ns, "hint", f"{reading.measures[0].text()} is not reached {where}")
+        text = reading.measures[0].text()
+        if reading.level >= 0.0:
+            text += " lies in its band, what is aimed at there"
+        return self._report(t_ns, "hint", f"{text} is not reached {where}")
 
     def _report(self, t_ns: int, kind: Kind, text: str, before: BurstParameters | None = None) -> TuningReport:
         return TuningReport(t_ns, self.channel.number, kind, text, before or self.parameters, self.parameters)
