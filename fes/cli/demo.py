@@ -26,7 +26,7 @@ TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
     "The strides' toe heights are the true ones; the controller measures some 1 mm more, and aims at that.\n"
     f"A stride clears where the toe passes {demo.LOW_MM:.0f} mm or more above the ground, or else is low, dragged or "
-    "stumbled.\nSeconds are the patient's; the report's are of its log, which begins some seconds before the walk."
+    "stumbled.\nSeconds are the patient's; the report's are of its log, which may begin some seconds before the walk."
 )
 
 

@@ -342,7 +342,7 @@ class ReachRow:
             f"at most {self.current_ma:.1f} mA and {self.pulse_width_us:.0f} µs, {where} ({self.most_ma:g} mA, "
             f"{self.most_us:g} µs)"
         )
-        return text + (f"; first all that they allow at {self.spent_from_s:.1f} s" if self.spent_from_s >= 0.0 else "")
+        return text + (f"; at its upper bound first at {self.spent_from_s:.1f} s" if self.spent_from_s >= 0.0 else "")
 
 
 @dataclass(frozen=True)

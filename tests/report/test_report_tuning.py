@@ -75,7 +75,7 @@ def test_how_far_it_was_commanded_stands_beside_the_bounds(ran: SessionRecord) -
     assert f"{row.text}." in " ".join(finding.text for finding in findings(summary) if finding.level == "good")
     beyond = replace(row, most_ma=row.current_ma - 1.0, spent_from_s=7.0)
     assert not beyond.within
-    assert beyond.text.endswith("µs); first all that they allow at 7.0 s")
+    assert beyond.text.endswith("µs); at its upper bound first at 7.0 s")
 
 
 def test_suggestions_are_told_where_nothing_was_changed() -> None:
