@@ -270,16 +270,24 @@ def load_session(path: Path) -> Session:
             listed with its line, key, value and what would be right.
     """
     data, text = read_toml(path, "session", ConfigError)
-    session = validate_session(data, path, text)
+    return validate_session(data, path, text).model_copy(update={"exercise": None})
+
+
+def refuse_blind_targets(session: Session, path: Path) -> None:
+    """For a walk whose session file is all that says where the sensors sit.
+
+    Raises:
+        ConfigError: a channel is to tune itself by the toe's clearance, and nothing says where its toe is.
+    """
     for channel in session.channels:
         tuned = channel.tuning
-        blind = tuned is not None and tuned.toe_clearance_m is not None and tuned.sensor_clearance_m is None
-        if tuned is not None and tuned.mode != "off" and blind and channel.foot not in session.geometry:
+        if tuned is None or tuned.mode == "off" or tuned.sensor_clearance_m is not None:
+            continue
+        if tuned.toe_clearance_m is not None and channel.foot not in session.geometry:
             raise ConfigError(
                 f"{path}: channel {channel.name!r}: toe_clearance_m cannot be measured without "
                 f"[geometry.{channel.foot}], which says where the sensor sits; add it, or sensor_clearance_m"
             )
-    return session.model_copy(update={"exercise": None})
 
 
 def load_exercise(path: Path) -> Session:

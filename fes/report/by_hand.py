@@ -24,7 +24,9 @@ WORDS: Final = {
     OperatorAction.ACCEPT_SUGGESTION: "suggestion accepted",
     OperatorAction.ROLL_BACK: "settings rolled back",
 }
-FULL: Final = "intensity 100%"
+LOWERED: Final = ", less than the session's"
+HARDLY: Final = 1e-6
+STEPS_NS: Final = 2 * NS_PER_S  # key presses that follow each other sooner are one act
 NOBODYS: Final = ("(button lost)", "(the keyboard is gone")  # stops that the session makes by itself
 CAUSE: Final = re.compile(r"state .* \((.*)\)")
 
@@ -39,9 +41,9 @@ class HandRow:
     text: str
 
 
-def hand_rows(record: WalkRecord, origin_ns: int) -> tuple[HandRow, ...]:
+def hand_rows(record: WalkRecord, origin_ns: int, usual_intensity: float = 1.0) -> tuple[HandRow, ...]:
     """By time; a stop pressed again before the next arming belongs to the first, and of an intensity that is set in
-    steps the last one counts."""
+    steps the last one counts; below ``usual_intensity``, the session's, it says so."""
     said: dict[int, list[str]] = {}
     for note in record.notes:
         if note.source == "session":
@@ -50,14 +52,16 @@ def hand_rows(record: WalkRecord, origin_ns: int) -> tuple[HandRow, ...]:
     stopped = False
     for act in sorted(record.acts, key=lambda act: act.t_ns):
         stops = act.action is OperatorAction.EMERGENCY_STOP
-        if act.action not in WORDS or (stops and stopped):
+        of_itself = act.action is OperatorAction.FREEZE_TUNING and act.why
+        begins = act.action is OperatorAction.SET_INTENSITY and not act.value > 0.0  # as every arming does
+        if act.action not in WORDS or (stops and stopped) or of_itself or begins:
             continue
         stopped = stops or (stopped and act.action is not OperatorAction.ARM)
         channel = int(act.value) if act.action in BY_HAND_NS else -1
         text = WORDS[act.action] if channel >= 0 else _as_said(act.action, said.get(act.t_ns, []))
         if act.action is OperatorAction.SET_INTENSITY:
-            text = f"{text} {act.value:.0%}"
-            if rows and rows[-1].action == act.action:
+            text = f"{text} {min(act.value, 1.0):.0%}" + (LOWERED if act.value < usual_intensity - HARDLY else "")
+            if rows and rows[-1].action == act.action and act.t_ns - origin_ns < STEPS_NS + NS_PER_S * rows[-1].time_s:
                 rows.pop()
         rows.append(HandRow((act.t_ns - origin_ns) / NS_PER_S, str(act.action), channel, text))
     return tuple(rows)
@@ -81,7 +85,7 @@ def is_stop_note(source: str, text: str) -> bool:
 def summed_up(rows: Sequence[HandRow]) -> str:
     """Bursts, stops, and an intensity that was left below the session's; "" for none of these."""
     left = [row for row in rows if row.action == OperatorAction.SET_INTENSITY][-1:]
-    lowered = [f"{row.text} from {row.time_s:.1f} s on" for row in left if row.text != FULL]
+    lowered = [f"{row.text} from {row.time_s:.1f} s on" for row in left if row.text.endswith(LOWERED)]
     bursts = Counter(row.text for row in rows if row.channel >= 0)
     stops = [f"{row.text} at {row.time_s:.1f} s" for row in rows if row.action == OperatorAction.EMERGENCY_STOP]
     return ", ".join([*(count_of(count, what) for what, count in bursts.items()), *stops, *lowered])

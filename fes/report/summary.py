@@ -332,7 +332,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         reached=stimulation.reach_rows(settings, commands, origin_ns),
         measures=measure_rows(record, settings),
         thresholds=thresholds_set(settings),
-        by_hand=hand_rows(record, origin_ns),
+        by_hand=hand_rows(record, origin_ns, settings.stimulation.intensity if settings else 1.0),
         exercise=exercise_summary(record, settings),
     )
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from replays import SETTINGS
 from tuning_plant import BAND, BOUNDS, channel, tuning
 
-from fes.config import ConfigError, Session, Tuning, load_session
+from fes.config import ConfigError, Session, Tuning, load_session, refuse_blind_targets
 
 TUNED = """
 [channels.tuning]
@@ -58,6 +58,7 @@ def test_a_session_file_can_ask_for_it(tmp_path: Path) -> None:
     path = tmp_path / "tuned.toml"
     path.write_text(SETTINGS.read_text() + TUNED + GEOMETRY)
     session = load_session(path)
+    refuse_blind_targets(session, path)
     tuned = session.channels[0].tuning
     assert tuned is not None
     assert tuned.mode == "suggest"
@@ -70,11 +71,11 @@ def test_a_target_that_nothing_can_measure_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "tuned.toml"
     path.write_text(SETTINGS.read_text() + TUNED)
     with pytest.raises(ConfigError, match=r"cannot be measured without \[geometry\.right_foot\]"):
-        load_session(path)
+        refuse_blind_targets(load_session(path), path)
     stand_in = "sensor_clearance_m = { low = 0.1, high = 0.2 }\n\n[channels.tuning.bounds]"
     for text in (TUNED.replace('"suggest"', '"off"'), TUNED.replace("[channels.tuning.bounds]", stand_in)):
         path.write_text(SETTINGS.read_text() + text)
-        assert load_session(path).channels[0].tuning
+        refuse_blind_targets(load_session(path), path)
 
 
 def test_a_misspelt_setting_is_named_with_its_line(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.live.operator import NO_STOP
+from fes.report.by_hand import hand_rows
 from fes.report.findings import findings
 from fes.report.stimulation import build_timeline, command_columns, phases_between
 from fes.report.summary import summarise
@@ -251,10 +252,14 @@ def test_an_intensity_set_in_steps_and_what_a_person_told_the_tuning_are_by_hand
     steps = [OperatorAct(make.at(3 + 0.1 * k), OperatorAction.SET_INTENSITY, 0.1 * k) for k in range(1, 6)]
     record = record_of(make.stride(0, 1.0), acts=[*steps, act(OperatorAction.FREEZE_TUNING, 5.0)])
     rows = summarise(record).by_hand
-    assert [row.text for row in rows] == ["intensity 50%", "tuning frozen"]
-    assert f"By hand: intensity 50% from {rows[0].time_s:.1f} s on." in [f.text for f in findings(summarise(record))]
+    assert [row.text for row in rows] == ["intensity 50%, less than the session's", "tuning frozen"]
+    assert f"By hand: {rows[0].text} from {rows[0].time_s:.1f} s on." in [f.text for f in findings(summarise(record))]
     record.acts = [*record.acts, OperatorAct(make.at(6), OperatorAction.SET_INTENSITY, 1.0)]
     assert not any(f.text.startswith("By hand") for f in findings(summarise(record)))
+    assert len(summarise(record).by_hand) == 3  # what was lowered for a while is not forgotten
+    begins = OperatorAct(make.at(2), OperatorAction.SET_INTENSITY, 0.0), act(OperatorAction.ARM, 2.0)
+    assert [row.text for row in hand_rows(record_of(acts=list(begins)), 0)] == ["armed"]
+    assert [row.text for row in hand_rows(record_of(acts=steps), 0, 0.5)] == ["intensity 50%"]
 
 
 def test_one_emergency_stop_is_one_event_and_no_fault():

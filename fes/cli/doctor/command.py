@@ -22,7 +22,7 @@ import click
 
 from fes.cli.common.exits import FAILED
 from fes.cli.common.options import PATH, Number, cannot_be_seen, not_there
-from fes.config import ConfigError, Session, load_session
+from fes.config import ConfigError, Session, load_session, refuse_blind_targets
 from fes.estimation.warm_up import warm_up
 from fes.live.realtime import Grant, fixed_priority, locked_memory
 from fes.session_log import SessionLogError
@@ -243,6 +243,7 @@ def examined(path: Path | None, out: Path | None, stop_file: Path | None, hours:
     if path is not None:
         try:
             session = load_session(path)
+            refuse_blind_targets(session, path)
         except ConfigError as error:
             yield failure(
                 "session",

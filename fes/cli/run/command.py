@@ -24,7 +24,7 @@ from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing,
 from fes.cli.common.options import PATH, Command, Number, RenamedOptions, utc_now
 from fes.cli.common.progress import Interrupt
 from fes.cli.run import devices
-from fes.config import ConfigError, Session, load_session
+from fes.config import ConfigError, Session, load_session, refuse_blind_targets
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
@@ -166,6 +166,7 @@ def run_session(path: Path, options: Options) -> Path:
     """
     with failing(ConfigError, CalibrationError):
         session = usable(load_session(path), path)
+        refuse_blind_targets(session, path)
         calibrations = load(options.calibration).calibrations if options.calibration else None
     folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
     with ExitStack() as stack:

@@ -31,7 +31,7 @@ from fes.stimulation.tuning.reference import missing_drive
 from fes.stimulation.tuning.report import Kind, TuningReport, difference, identified, reason
 from fes.stimulation.tuning.response import ResponseModel
 from fes.stimulation.tuning.shape import BurstShape, Zones
-from fes.stimulation.tuning.targets import Reading, read_stride, swing_times, times_ns
+from fes.stimulation.tuning.targets import Measure, Reading, read_stride, swing_times, times_ns
 from fes.stimulation.tuning.timing import Lowering, SpeedTiming
 from fes.stimulation.tuning.usable import NO_CHARGE, OTHER_SPEED, UNEVEN_GROUND, StrideFilter, jolted
 
@@ -250,7 +250,7 @@ class Tuner:
         if self.tuning.mode == "act" and (report := self._contrary(t_ns, reading)):
             return report
         known = self.memory.remembered() if other_speed else None
-        if known is not None and reading.level < 0.0:  # then it may only help: no weaker, and no later or shorter
+        if known is not None and reading.level < 0.0:  # then it may only strengthen
             now = self.parameters
             known = at_least(replace(now, current_ma=known.current_ma, widths_us=known.widths_us), now)
             known = known if difference(now, limited(now, known, self.tuning)) else None
@@ -455,7 +455,7 @@ class Tuner:
                 why += self._shape.why_held(before, after, demands, worst)
             return self._propose(t_ns, after, f"{why}: {changes}")
         self.pending = None
-        return self._hint_if_unreached(t_ns, reading, short=error > 0.0) or self._identified(t_ns)
+        return self._hint_if_unreached(t_ns, reading, worst.measure if error > 0.0 else None) or self._identified(t_ns)
 
     def _worth_knowing(self, demands: tuple[Demand, ...]) -> str:
         """Why a step too small to be felt is made though nothing is missing; "" for none."""
@@ -506,17 +506,18 @@ class Tuner:
         self._reported = self.model.strides
         return self._report(t_ns, "identified", identified(self.model, self.delay.delay_s, self.tuning))
 
-    def _hint_if_unreached(self, t_ns: int, reading: Reading, *, short: bool) -> TuningReport | None:
-        """``short``: whether more is asked for, be it within the band."""
+    def _hint_if_unreached(self, t_ns: int, reading: Reading, asks: Measure | None) -> TuningReport | None:
+        """``asks``: what asks for more, be it within its band; None where nothing does."""
         all_given = spent(self.parameters, self.tuning)
-        self._unreached = self._unreached + 1 if reading.level < 0.0 or (short and all_given) else 0
+        self._unreached = self._unreached + 1 if reading.level < 0.0 or (asks is not None and all_given) else 0
         if self._unreached != UNREACHED_STRIDES:
             return None
         where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
         if all_given:
             where = "at the upper bound: look at electrodes, fatigue and target"
-        text = reading.measures[0].text()
-        if reading.level >= 0.0:
+        measure = asks if asks is not None and reading.level >= 0.0 else reading.measures[0]
+        text = measure.text()
+        if 0.0 <= measure.level <= 1.0:
             text += " lies in its band, what is aimed at there"
         return self._report(t_ns, "hint", f"{text} is not reached {where}")
 
