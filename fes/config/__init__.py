@@ -23,6 +23,5 @@ __all__ = [
     "PHASE_ORDER", "STEEPEST_PERCENT", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise",
     "Foot", "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation",
     "StimulatorDevice", "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml",
-    "refuse_blind_targets",
-    "validate_session",
+    "refuse_blind_targets", "validate_session",
 ]  # fmt: skip

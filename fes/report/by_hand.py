@@ -43,7 +43,7 @@ class HandRow:
 
 def hand_rows(record: WalkRecord, origin_ns: int, usual_intensity: float = 1.0) -> tuple[HandRow, ...]:
     """By time; a stop pressed again before the next arming belongs to the first, and of an intensity that is set in
-    steps the last one counts; below ``usual_intensity``, the session's, it says so."""
+    steps the last one counts; below ``usual_intensity`` (0 … 1), the session's, it says so."""
     said: dict[int, list[str]] = {}
     for note in record.notes:
         if note.source == "session":

@@ -20,6 +20,7 @@ from fes.estimation.sensor_choice import phase_sensors
 from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, OperatorAct, StimCommand, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
 from fes.stimulation.plan import BY_HAND_NS, LATEST_NS
+from fes.stimulation.tuning.guardrails import SPENT
 from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
 
@@ -28,7 +29,6 @@ WIDTH_STEP_US = 2.0
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
 HARDLY: Final = 0.01  # mA, µs: less is rounding
-SPENT: Final = 0.99  # of a bound: there is nothing left to give
 STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
 STILL: Final = "still going back"
 SKIPPED: Final = " skipped: "  # the stride taught nothing

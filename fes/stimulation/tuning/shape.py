@@ -120,7 +120,7 @@ class BurstShape:
         return parameters.start_delay_s + (times.foot_off_s if self._channel.start_phase == "swing" else 0.0)
 
     def drive_per_us(self, parameters: BurstParameters, intensity: float) -> float:
-        """What a microsecond of pulse width is worth at this current."""
+        """What a microsecond of pulse width is worth at this current, as a share of the upper bound."""
         return intensity * parameters.current_ma / self._own.current_ma / self._own.mean_width_us / self._most
 
     def drives(
