@@ -47,6 +47,16 @@ class _Jump:
     rate: float  # likewise for the rate
     smooth: float  # what a step after it may measure
     steps: int  # so many are still to come
+    before: ImuSample
+    exchanged: tuple[Vector3, Vector3]  # the force and the rate before it, by the axes after it
+
+    def stays(self, sample: ImuSample) -> bool:
+        """Whether this sample is nearer to what exchanged axes make of the one before than to that one itself."""
+        to_exchanged, to_before = (
+            _square_apart(sample.acc_mps2, acc) / self.force + _square_apart(sample.gyr_radps, gyr) / self.rate
+            for acc, gyr in (self.exchanged, (self.before.acc_mps2, self.before.gyr_radps))
+        )
+        return to_exchanged <= to_before
 
 
 class Axes:
@@ -54,7 +64,8 @@ class Axes:
 
     Real force and rate jump too, at heel strikes, but neither before nor after such a jump are they smooth, and no
     exchange of axes leads from the one sample to the other in both at once. Under a heel the force may turn right
-    around and stay so for two samples; but the rate goes on as it was, and so speaks against an exchange.
+    around and stay so for two samples; but the rate goes on as it was, and so speaks against an exchange. A foot that
+    is pulled off the ground is jolted too, and two samples later the force is on its way back.
     """
 
     def __init__(self) -> None:
@@ -86,7 +97,9 @@ class Axes:
         if smooth and jump.steps:
             return ""
         self._jump = None
-        return f"the axes of {sample.sensor} changed from one sample to the next: remounted?" if smooth else ""
+        if smooth and jump.stays(sample):
+            return f"the axes of {sample.sensor} changed from one sample to the next: remounted?"
+        return ""
 
 
 def _jump(before: ImuSample, after: ImuSample, last: tuple[float, float], step: tuple[float, float]) -> _Jump | None:
@@ -99,10 +112,11 @@ def _jump(before: ImuSample, after: ImuSample, last: tuple[float, float], step: 
         return None
     most, rate_most = EXPLAINED * size, step[1] / rate + AGAINST
     for order, signs in _TURNS:
-        rate_left = _square_apart(gyr, _exchanged(gyr_before, order, signs)) / rate
-        left = rate_left + _square_apart(acc, _exchanged(acc_before, order, signs)) / force
+        exchanged = _exchanged(acc_before, order, signs), _exchanged(gyr_before, order, signs)
+        rate_left = _square_apart(gyr, exchanged[1]) / rate
+        left = rate_left + _square_apart(acc, exchanged[0]) / force
         if rate_left <= rate_most and left <= most:
-            return _Jump(force, rate, smooth, STEPS_AFTER)
+            return _Jump(force, rate, smooth, STEPS_AFTER, before, exchanged)
     return None
 
 
@@ -277,7 +291,8 @@ class Plausibility:
         self.not_ready = ""  # no fault by itself: a foot may rest so, but not one that walks
         self._force = Force(sensor, device.acc_range_g if device else math.inf)
         self._axes, self._coherence = Axes(), Coherence(sensor)
-        self._fast, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
+        self._fast, self._saturated = _Lasting(), _Lasting()
+        self._rests, self._moves = _Lasting(), _Lasting()  # turned, both
         self._mean_mps2 = self._upright()
         self._mean_ns: int | None = None
 
@@ -292,9 +307,9 @@ class Plausibility:
         incoherent = self._coherence.fault(sample)
         fast = self._fast.lasts(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.lasts(t_ns, at_range)
-        tilted = self._tilted.lasts(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
-        moves_tilted = self._moves_tilted(x, y, z, force_mps2, t_ns)
-        does = "rests" if tilted else "moves" if moves_tilted else ""
+        rests = self._rests.lasts(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
+        moves = self._moves.lasts(t_ns, self._moves_tilted(x, y, z, force_mps2, t_ns))
+        does = "rests" if rests else "moves" if moves else ""
         self.not_ready = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
         self.not_ready = self.not_ready or self._coherence.not_ready
         if rate_radps > MOST_RATE_RADPS:
@@ -318,7 +333,8 @@ class Plausibility:
     def _moves_tilted(self, x: float, y: float, z: float, force_mps2: float, t_ns: int) -> bool:
         """Whether the force, averaged over about 0.3 s, comes from elsewhere than gravity does in anybody's gait.
 
-        A stance need not hold a rest: of stroke survivors' shanks, most do not.
+        A stance need not hold a rest: of stroke survivors' shanks, most do not. A foot that stumbles can show so too,
+        but not for long.
         """
         if self._up is None:
             return False

@@ -34,13 +34,13 @@ STILL: Final = "still going back"
 SKIPPED: Final = " skipped: "  # the stride taught nothing
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
     "change": ("; even until this speed is known: ", "; the session's own settings there: "),
+    "hint": ("response per charge", "is not reached ", "have taught nothing", " and is left out: "),
     "skip": (SKIPPED,),
     "fault": ("something has changed that stimulation did not",),
     "identified": ("identified: ",),
     "suggestion": ("suggested: ",),
     "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
     "frozen": ("tuning is frozen", "tuning goes on"),
-    "hint": ("response per charge", "is not reached "),
 }
 
 

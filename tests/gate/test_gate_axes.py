@@ -138,6 +138,31 @@ def test_a_jump_back_is_a_knock() -> None:
     assert told([still] * 3 + [turned] * 3 + [still] * 5) == [5, 8]
 
 
+def test_a_jolt_from_which_the_force_comes_back_is_none() -> None:
+    """As of a foot that is pulled off the ground while it hardly turns: two samples after it, it is on its way back."""
+    before, after = ((2.1, -0.3, 12.7), (0.0, 0.3, 0.0)), ((-14.0, -1.3, 5.9), (0.0, 0.46, 0.0))
+    half, back = (-8.1, -0.9, 6.9), (-2.6, -0.6, 9.0)
+    assert told([before] * 3 + [after] * 3) == [5]
+    assert told([before] * 3 + [after] + [(half, after[1])] * 2) == [5]
+    assert told([before] * 3 + [after] + [(half, after[1]), (back, after[1])]) == []
+
+
+@pytest.mark.parametrize("of_rate", [False, True])
+def test_two_samples_later_it_is_no_nearer_to_what_was(of_rate: bool) -> None:
+    """Two axes exchanged, and back along the straight way between: half of it is told, what is more is none."""
+    zero = (0.0, 0.0, 0.0)
+
+    def back(to: float, share: float) -> Pair:
+        values = (4.0 * to + 4.0 * share * (1 - 2 * to), 4.0 * (1 - to) - 4.0 * share * (1 - 2 * to), 0.0)
+        return (zero, values) if of_rate else (values, zero)
+
+    def until(share: float) -> list[int]:
+        return told([back(1.0, 0.0)] * 3 + [back(0.0, 0.0), back(0.0, 0.5 * share), back(0.0, share)])
+
+    assert until(0.499) == [5]
+    assert until(0.501) == []
+
+
 def unsmooth(at: int, by: float, of_rate: bool) -> list[int]:
     """A jump of the force by 566/229 + 78/38 at sample 3 and another step at sample ``at``."""
     pairs = [(FORCE, RATE)] * 3 + [TURNED] * 4
@@ -283,17 +308,25 @@ def expected(pairs: list[Pair]) -> list[int]:
             apart(pairs[i][0], pairs[i - 1][0]) / force + apart(pairs[i][1], pairs[i - 1][1]) / rate
             for i in range(k - 1, k + 3)
         )
-        explained = any(
-            apart(acc, exchanged(acc_before, *each)) / force + of_rate <= 0.09 * jump
+        explained = [
+            each
             for each in EXCHANGES
             if (of_rate := apart(gyr, exchanged(gyr_before, *each)) / rate) <= apart(gyr, gyr_before) / rate + 0.02
-        )
+            and apart(acc, exchanged(acc_before, *each)) / force + of_rate <= 0.09 * jump
+        ]
         if jump < 0.7 or before > 0.13 * jump or not explained:
             k += 1
         elif first > 0.13 * jump:
             k += 2
         else:
-            at += [k + 2] * (second <= 0.13 * jump)
+            to_exchanged, to_before = (
+                apart(pairs[k + 2][0], a) / force + apart(pairs[k + 2][1], b) / rate
+                for a, b in (
+                    (exchanged(acc_before, *explained[0]), exchanged(gyr_before, *explained[0])),
+                    (acc_before, gyr_before),
+                )
+            )
+            at += [k + 2] * (second <= 0.13 * jump and to_exchanged <= to_before)
             k += 3
     return at
 

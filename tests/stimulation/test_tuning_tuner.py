@@ -430,6 +430,21 @@ def test_strides_out_of_order_or_told_twice_are_skipped_and_a_clock_set_back_cos
     assert told == [False, False, True, True, False, False]
 
 
+def test_ten_stimulated_strides_in_a_row_that_teach_nothing_are_a_hint() -> None:
+    """As of a foot that stumbles in every stride; one that is measured begins anew, one not stimulated counts for none."""
+    tuner, kinds = Tuner(channel(tuning())), []
+    for number in range(33):
+        stumbles = number != 1
+        charge_uc = charge_of(tuner.parameters) if number != 20 else 0.0
+        walked = stride(number, 0.02, valid=not stumbles, reason="the constraints cannot be met" if stumbles else "")
+        report = tuner.observe(number, walked, charge_uc, 1.0)
+        if report is not None and report.kind == "hint":
+            kinds.append(number)
+            assert f"{10 * len(kinds)} strides in a row have taught nothing" in report.text
+            assert report.before == report.after == tuner.parameters
+    assert kinds == [11, 22, 32]
+
+
 @pytest.mark.parametrize("incline", [0.08, None])
 def test_what_was_learnt_stays_with_its_ground(incline: float | None) -> None:
     plant = Plant(baseline_m=-0.04, noise_m=0.0)

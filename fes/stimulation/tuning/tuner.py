@@ -50,6 +50,7 @@ EXCITATION: Final = 0.02  # of the bound, 0.5 to 1 mA: too little to be felt as 
 STILL: Final = 4  # strides without a change, before one is made for the sake of knowing
 UNKNOWN: Final = 0.5  # of a slope's value is its standard deviation
 REPORTED_EVERY: Final = 10  # strides, what was identified
+UNTAUGHT: Final = 10  # stimulated strides in a row that teach nothing: then, and as often again, a person is told
 MOST_ROLL_BACKS: Final = 3  # or answers to a jerked foot, the targets not reached in between; then it stops itself
 
 
@@ -102,6 +103,7 @@ class Tuner:
         self._excited = 1.0  # which way the next excitation goes
         self._unreached = 0
         self._uneven = 0
+        self._untaught = 0
         self._aside: frozenset[str] = frozenset()  # measures at contact that are left out
         self._odd = 0.0
         self._jolts = 0
@@ -188,7 +190,7 @@ class Tuner:
             return report  # it has stopped itself: whatever the stride was like, less is on the way
         if why:
             return self._on_skip(t_ns, stride, why, intensity if charge_uc > 0.0 else 0.0)
-        self._uneven = 0
+        self._uneven = self._untaught = 0
         if why := jolted(stride):
             return self._on_jolt(t_ns, stride, why)
         self._jolts = 0
@@ -271,6 +273,7 @@ class Tuner:
         self.delay.forget_last()
         text, before, what = f"stride {stride.number} skipped: {why}", self.parameters, ""
         self._uneven = self._uneven + 1 if UNEVEN_GROUND in why else 0
+        self._untaught += given > 0.0
         if self.tuning.mode == "act" and not self.frozen:
             if self._uneven >= UNEVEN:
                 if self._put_away is None:
@@ -283,9 +286,12 @@ class Tuner:
                 self.parameters = replace(limited(before, even, self.tuning), start_delay_s=even.start_delay_s)
                 what = "even until this speed is known"
         changes = difference(before, self.parameters)
-        if not changes:
+        if changes:
+            return self._report(t_ns, "change", f"{text}; {what}: {changes}", before)
+        if given == 0.0 or self._untaught % UNTAUGHT or self.frozen:
             return self._report(t_ns, "skip", text)
-        return self._report(t_ns, "change", f"{text}; {what}: {changes}", before)
+        stays = f"{self._untaught} strides in a row have taught nothing and the settings stay as they are"
+        return self._report(t_ns, "hint", f"{text}; {stays}: where the foot stumbles in each, begin with more current")
 
     def _learn_delay(self, stride: StrideResult, intensity: float) -> None:
         """Hold this swing's pitch against the stride's before, and so the drives that both had."""
