@@ -5,8 +5,8 @@
 Per set of recordings: the level of force that three quarters of a span of 80 ms stay below, at its least, and above, at
 its greatest; the greatest steps of the force (× from one sample to the next, samples lost left aside) that are followed
 by such a span below 7 m/s² or above the bound for a step up; the highest rate of any one axis; the longest time without
-a changing value; the largest tilt from the calibrated upright in a rest that lasts as long as the gate asks for, and of
-the force averaged over 0.3 s. The bundled simulated trials come first; real recordings lie in FES_DATA.
+a changing value; the largest tilt from the calibrated upright that is kept for as long as the gate asks for, in a rest
+and of the force averaged over 0.3 s. The bundled simulated trials come first; real recordings lie in FES_DATA.
 
 With ``--patients`` a second table compares them with so many of the tuning's virtual patients, without stimulation: the
 percentiles of the least force in each 1.25 s of a walk, and of the largest tilt of its mean; and how many sensors go
@@ -86,12 +86,8 @@ class Extremes:
         tilt = np.degrees(np.arccos(np.clip(track.acc_mps2 @ up / np.maximum(force, 1e-9), -1, 1)))
         for begin, end in spells(resting):
             if t_ms[end - 1] - t_ms[begin] >= SUSTAINED_MS:
-                # what it takes to be doubted: the tilt that it keeps for that long
-                steps = max(1, round(SUSTAINED_MS * track.rate_hz / 1000))
-                kept = np.lib.stride_tricks.sliding_window_view(tilt[begin:end], min(steps, end - begin)).min(axis=1)
-                self.tilt_deg = max(self.tilt_deg, float(kept.max()))
-
-        self.mean_tilt_deg = max(self.mean_tilt_deg, float(mean_tilt_deg(track, up).max()))
+                self.tilt_deg = max(self.tilt_deg, kept_deg(tilt[begin:end], track.rate_hz))
+        self.mean_tilt_deg = max(self.mean_tilt_deg, kept_deg(mean_tilt_deg(track, up), track.rate_hz))
 
     def _take_force(self, track: Track, force: FloatArray) -> None:
         bounds = SHANK if track.sensor in SHANK_SENSORS else FOOT
@@ -121,6 +117,12 @@ def levels(rate_hz: float, force: FloatArray) -> tuple[FloatArray, FloatArray]:
     ordered = np.sort(np.lib.stride_tricks.sliding_window_view(force, samples), axis=1)
     most = math.ceil(MOSTLY[0] * samples / MOSTLY[1])
     return ordered[:, most - 1], ordered[:, samples - most]
+
+
+def kept_deg(tilts_deg: FloatArray, rate_hz: float) -> float:
+    """The largest of these tilts (N,) that is kept for as long as it takes to be doubted."""
+    steps = max(1, round(SUSTAINED_MS * rate_hz / 1000))
+    return float(np.lib.stride_tricks.sliding_window_view(tilts_deg, min(steps, len(tilts_deg))).min(axis=1).max())
 
 
 def mean_tilt_deg(track: Track, up: FloatArray) -> FloatArray:

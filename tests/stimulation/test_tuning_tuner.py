@@ -431,7 +431,7 @@ def test_strides_out_of_order_or_told_twice_are_skipped_and_a_clock_set_back_cos
 
 
 def test_ten_stimulated_strides_in_a_row_that_teach_nothing_are_a_hint() -> None:
-    """As of a foot that stumbles in every stride; one that is measured begins anew, one not stimulated counts for none."""
+    """As of a foot that stumbles in every stride; a measured one begins anew, without stimulation none counts."""
     tuner, kinds = Tuner(channel(tuning())), []
     for number in range(33):
         stumbles = number != 1
