@@ -147,20 +147,19 @@ def test_a_jolt_from_which_the_force_comes_back_is_none() -> None:
     assert told([before] * 3 + [after] + [(half, after[1]), (back, after[1])]) == []
 
 
-@pytest.mark.parametrize("of_rate", [False, True])
-def test_two_samples_later_it_is_no_nearer_to_what_was(of_rate: bool) -> None:
-    """Two axes exchanged, and back along the straight way between: half of it is told, what is more is none."""
-    zero = (0.0, 0.0, 0.0)
+@pytest.mark.parametrize(
+    ("of_force", "of_rate", "is_told"),
+    [(0.5, 0.5, True), (0.5, 0.51, False), (0.51, 0.5, False), (0.6, 0.3, True), (0.3, 0.6, True), (0.7, 0.4, False)],
+)
+def test_two_samples_later_it_is_no_nearer_to_what_was(of_force: float, of_rate: float, is_told: bool) -> None:
+    """Two axes exchanged, and on the straight way back by these shares; each counts by its own size: half of both."""
 
-    def back(to: float, share: float) -> Pair:
-        values = (4.0 * to + 4.0 * share * (1 - 2 * to), 4.0 * (1 - to) - 4.0 * share * (1 - 2 * to), 0.0)
-        return (zero, values) if of_rate else (values, zero)
+    def at(of_force: float, of_rate: float) -> Pair:
+        return (4.0 * of_force, 4.0 - 4.0 * of_force, 0.0), (2.0 * of_rate, 2.0 - 2.0 * of_rate, 0.0)
 
-    def until(share: float) -> list[int]:
-        return told([back(1.0, 0.0)] * 3 + [back(0.0, 0.0), back(0.0, 0.5 * share), back(0.0, share)])
-
-    assert until(0.499) == [5]
-    assert until(0.501) == []
+    assert told([at(1.0, 1.0)] * 3 + [at(0.0, 0.0), at(0.5 * of_force, 0.5 * of_rate), at(of_force, of_rate)]) == (
+        [5] if is_told else []
+    )
 
 
 def unsmooth(at: int, by: float, of_rate: bool) -> list[int]:
