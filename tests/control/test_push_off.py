@@ -104,13 +104,17 @@ def test_a_burst_up_to_foot_off_does_harm_that_is_counted(
     assert both.harm.drags <= alone.harm.drags
 
 
-def test_a_burst_through_swing_harms_at_once_and_the_gate_ends_it(calibration: FootCalibration) -> None:
+def test_a_burst_through_swing_harms_at_once_and_most_strides_until_the_gate_ends_it(
+    calibration: FootCalibration,
+) -> None:
+    """A stumble may show turned for a moment; the gate, which cannot tell whose fault it is, waits for a longer one."""
     through = walked(calibration, lasting(0.3), TIBIALIS)
-    last_ns = times_ns(through, CALF)[-1]
+    first_ns, *_, last_ns = times_ns(through, CALF)
     assert "65°" in through.latched  # a foot that is dragged along moves as no foot does
-    harmed = [one for one in through.strides if times_ns(through, CALF)[0] < one.t_contact_ns < last_ns + 10**9]
-    assert harmed
-    assert all(one.dragged or one.stumbled for one in harmed)
+    during = [one for one in through.strides if first_ns < one.t_contact_ns < last_ns + 10**9]
+    harmed = [one.dragged or one.stumbled for one in during]
+    assert harmed[0]
+    assert sum(harmed) > 0.5 * len(harmed)
 
 
 def test_exclusion_holds_whatever_the_phases_say(calibration: FootCalibration) -> None:
