@@ -81,6 +81,8 @@ class Channel(Settings):
             return self
         if self.start_phase not in ("pre_swing", "swing"):
             raise ValueError(f'tuning is for channels that start in "pre_swing" or "swing", not {self.start_phase!r}')
+        if self.stop_phase == "swing":  # a calf's: more of it pulls the toe down
+            raise ValueError('tuning is for channels that lift the foot through the swing, not to stop_phase = "swing"')
         bounds = tuning.bounds
         for name in type(bounds).model_fields:
             allowed, value = getattr(bounds, name), getattr(self, name)

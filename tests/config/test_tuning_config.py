@@ -43,6 +43,20 @@ def test_an_end_before_contact_is_allowed_where_its_effect_is_measured() -> None
         channel(extension_s=-0.05)  # the channel's own, without a tuning that learns when contact comes
 
 
+@pytest.mark.parametrize(
+    ("phases", "said"),
+    [
+        ({"start_phase": "pre_swing", "stop_phase": "swing", "extension_s": 0.0}, 'not to stop_phase = "swing"'),
+        ({"start_phase": "stance", "stop_phase": "swing", "extension_s": 0.0}, 'start in "pre_swing" or "swing"'),
+    ],
+)
+def test_a_channel_that_lifts_no_foot_is_not_tuned(phases: dict[str, Any], said: str) -> None:
+    """Such as one on the calf, which pulls the toe down: it is stimulated at the session's own settings."""
+    with pytest.raises(ValidationError, match=said):
+        channel(tuning(), **phases)
+    channel(tuning(mode="off"), **phases)
+
+
 def test_tuning_is_off_unless_asked_for() -> None:
     assert Tuning().mode == "off"
     assert load_session(SETTINGS).channels[0].tuning is None
