@@ -121,7 +121,7 @@ def levels(rate_hz: float, force: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def kept_deg(tilts_deg: FloatArray, rate_hz: float) -> float:
     """The largest of these tilts (N,) that is kept for as long as it takes to be doubted."""
-    steps = max(1, round(SUSTAINED_MS * rate_hz / 1000))
+    steps = round(SUSTAINED_MS * rate_hz / 1000) + 1
     return float(np.lib.stride_tricks.sliding_window_view(tilts_deg, min(steps, len(tilts_deg))).min(axis=1).max())
 
 

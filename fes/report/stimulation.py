@@ -32,16 +32,17 @@ HARDLY: Final = 0.01  # mA, µs: less is rounding
 STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
 STILL: Final = "still going back"
 SKIPPED: Final = " skipped: "  # the stride taught nothing
-_KINDS: Final = {  # the first of which a phrase fits; any other text is a change
-    "change": ("; even until this speed is known: ", "; the session's own settings there: "),
-    "hint": ("response per charge", "is not reached ", "have taught nothing", " and is left out: "),
-    "skip": (SKIPPED,),
-    "fault": ("something has changed that stimulation did not",),
-    "identified": ("identified: ",),
-    "suggestion": ("suggested: ",),
-    "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
-    "frozen": ("tuning is frozen", "tuning goes on"),
-}
+_KINDS: Final = (  # the first of which a phrase fits; any other text is a change
+    ("change", ("; even until this speed is known: ", "; the session's own settings there: ")),
+    ("hint", ("have taught nothing",)),
+    ("skip", (SKIPPED,)),
+    ("fault", ("something has changed that stimulation did not",)),
+    ("identified", ("identified: ",)),
+    ("suggestion", ("suggested: ",)),
+    ("roll_back", ("rolled back", "back to the session's settings", STILL, STOPPED)),
+    ("frozen", ("tuning is frozen", "tuning goes on")),
+    ("hint", ("response per charge", "is not reached ", " and is left out: ")),
+)
 
 
 @dataclass(frozen=True)
@@ -370,7 +371,7 @@ def tuning_rows(notes: Sequence[Note], origin_ns: int) -> tuple[TuningRow, ...]:
         if note.source == SOURCE:
             named = _CHANNEL.match(note.text)
             text = note.text[named.end() :] if named else note.text
-            kind = next((kind for kind, phrases in _KINDS.items() if any(each in text for each in phrases)), "change")
+            kind = next((kind for kind, phrases in _KINDS if any(each in text for each in phrases)), "change")
             rows.append(TuningRow((note.t_ns - origin_ns) / NS_PER_S, int(named[1]) if named else -1, kind, text))
     return tuple(rows)
 

@@ -358,7 +358,7 @@ def test_time_that_stands_or_runs_backward_does_not_turn_the_mean() -> None:
 def test_a_knock_counts_as_twice_gravity_in_the_mean_force() -> None:
     judge = averaged((0.0, 0.0, G_MPS2), 50)
     for k in range(51, 80):
-        judge.fault(sample(k * 10 * MS, 0, (0.0, 500.0 if k == 51 else 0.0, G_MPS2), (0.0, 1.0, 1e-3 * k)))
+        judge.fault(sample(k * 10 * MS, 0, (0.0, 2000.0 if k == 51 else 0.0, G_MPS2), (0.0, 1.0, 1e-3 * k)))
         assert judge.not_ready == ""
 
 

@@ -58,6 +58,8 @@ def test_every_kind_of_note_is_told_apart() -> None:
     ]
     told = tuning_rows([Note(0, "info", "tuning", f"channel 0: {text}") for text in asks], 0)
     assert [row.kind for row in told] == ["hint"] * 4
+    joined = [Note(0, "warning", "tuning", f"channel 0: {TEXTS['fault']}. {text}") for text in (asks[0], asks[3])]
+    assert [row.kind for row in tuning_rows(joined, 0)] == ["fault"] * 2
     assert tuning_rows([Note(0, "info", "tuning", "of no channel")], 0) == (
         TuningRow(0.0, -1, "change", "of no channel"),
     )

@@ -188,20 +188,22 @@ class Tuner:
         stopped = self.frozen and stride.valid and charge_uc > 0.0 and drive > 0.0
         if stopped and self._returning is not None and (report := self._still_returning(t_ns)):
             return report  # it has stopped itself: whatever the stride was like, less is on the way
+        self._untaught += charge_uc > 0.0
         if why:
             return self._on_skip(t_ns, stride, why, intensity if charge_uc > 0.0 else 0.0)
-        self._uneven = self._untaught = 0
+        self._uneven = 0
         if why := jolted(stride):
             return self._on_jolt(t_ns, stride, why)
         self._jolts = 0
         reading = read_stride(stride, self.tuning)
         if isinstance(reading, str):
-            return self._report(t_ns, "skip", f"stride {stride.number} skipped: {reading}")
+            return self._skip(t_ns, f"stride {stride.number} skipped: {reading}")
         zones = self._shape.zones(stride, self.parameters, self.delay.delay_s.value)
         drives = self._shape.drives(reading, zones, self.parameters, intensity)
         if self._unlike_the_others(reading, drives):
             text = f"stride {stride.number} skipped: {reading.measures[0].text()} is unlike the strides before"
-            return self._report(t_ns, "skip", text)
+            return self._skip(t_ns, text)
+        self._untaught = 0
         other_speed = self.memory.changed(stride.speed_mps)
         if other_speed:
             self.faults.forget()
@@ -273,7 +275,6 @@ class Tuner:
         self.delay.forget_last()
         text, before, what = f"stride {stride.number} skipped: {why}", self.parameters, ""
         self._uneven = self._uneven + 1 if UNEVEN_GROUND in why else 0
-        self._untaught += given > 0.0
         if self.tuning.mode == "act" and not self.frozen:
             if self._uneven >= UNEVEN:
                 if self._put_away is None:
@@ -288,10 +289,15 @@ class Tuner:
         changes = difference(before, self.parameters)
         if changes:
             return self._report(t_ns, "change", f"{text}; {what}: {changes}", before)
-        if given == 0.0 or self._untaught % UNTAUGHT or self.frozen:
+        return self._skip(t_ns, text)
+
+    def _skip(self, t_ns: int, text: str) -> TuningReport:
+        """The stride teaches nothing; after many in a row a person is told that nobody learns."""
+        if self._untaught < UNTAUGHT or self.frozen:
             return self._report(t_ns, "skip", text)
-        stays = f"{self._untaught} strides in a row have taught nothing and the settings stay as they are"
-        return self._report(t_ns, "hint", f"{text}; {stays}: where the foot stumbles in each, begin with more current")
+        text += f"; {self._untaught} strides in a row have taught nothing and the settings stay as they are"
+        self._untaught = 0
+        return self._report(t_ns, "hint", f"{text}: where the foot stumbles in each, begin with more current")
 
     def _learn_delay(self, stride: StrideResult, intensity: float) -> None:
         """Hold this swing's pitch against the stride's before, and so the drives that both had."""
@@ -340,7 +346,7 @@ class Tuner:
                 if self.tuning.mode == "act" and self._jolts == JOLTS and self._once_too_often(t_ns):
                     return self._roll_back_to(self.start, t_ns, text)
                 return self._propose(t_ns, after, f"{text}, less is tried: {changes}")
-        return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
+        return self._skip(t_ns, f"stride {stride.number} skipped: {why}")
 
     def _unlike_the_others(self, reading: Reading, drives: Mapping[str, float]) -> bool:
         """Whether this stride stands alone; two of the same kind in a row are believed."""
