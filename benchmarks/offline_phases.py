@@ -1,8 +1,12 @@
-"""Foot flat and heel rise off-line against footswitches (``footswitch_treadmill``), beside the causal machine's T4, T1.
+"""The off-line instants of T1 to T4, beside the live machine's: against truth, markers and footswitches.
 
     python benchmarks/offline_phases.py [--data FOLDER] [--json FILE]
 
-Per walker: how much later than the label, median ± SD in ms, of labelled strides that the labels can judge; with the
+First of each bundled trial (its truth) and of the gaitmap walk (markers; the heel is up and the foot is flat by the
+truth's 5 mm and 2°, from the middle of the stance): how much later than the truth ``t_…_s`` and ``t_…_live_s`` of
+``fes analyse`` are, median [5–95 %] in ms.
+
+Then foot flat and heel rise against footswitches (``footswitch_treadmill``), per walker: how much later than the label, median ± SD in ms, of labelled strides that the labels can judge; with the
 sizes in use (``fes/estimation/events/offline.py``), and with those that bring the other walkers' medians nearest to
 their labels. Where the switches lie under a foot differs between walkers by more than the rules do.
 """
@@ -11,23 +15,34 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from bundled_trials import TRIALS
 from command_line import console_of, parser_of, save
 from every_walker import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
+from real_sets import PathWalk
 from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import pairs
 
+from fes.analysis.pipeline import analyse
+from fes.analysis.results import Analysis
 from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stance_instants
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.recording import Recording, read_recording
 from fes.recording.tracks import newer_samples
+from fes.signals import FloatArray
+from fes.simulation.truth import HEEL_UP_M, TILT_RAD, load_truth
 from statemachine.phases import Transition
 
 FLAT_DEG, RISE_DEG = (2.0, 3.0, 5.0, 8.0), (1.0, 2.0, 3.0, 5.0)
 FAR_S = 0.4
+LONGEST_S = 1.2  # of a stance or swing of the gaitmap walk
+NAMES = ("negard_patient1", "negard_patient2", "both_feet_100hz", "both_feet_200hz", "misaligned", "soft_contact")
+ENTRIES = ("t_pre_swing", "t_swing", "t_loading_response", "t_stance")
 Later = dict[str, dict[tuple[str, float], list[float]]]  # by person, then rule and size: ms
 
 
@@ -74,6 +89,65 @@ def measured(data: Path) -> Later:
     return later
 
 
+def against_truth(result: Analysis, foot: str, true_s: Iterable[dict[str, float]]) -> list[str]:
+    """Off-line and live of each of T1 to T4, of the strides that hold a true foot off."""
+    rows, cells = [row for row in result.stride_rows() if row["foot"] == foot], []
+    held = [(row, true) for true in true_s for row in rows if row["t_start_s"] < true["t_swing_s"] < row["t_end_s"]]
+    for name in ENTRIES:
+        for kind in ("s", "live_s"):
+            ms = np.array([1e3 * (row[f"{name}_{kind}"] - true.get(f"{name}_s", np.nan)) for row, true in held])
+            ms = ms[np.isfinite(ms)]
+            low, middle, high = np.percentile(ms, (5, 50, 95)) if len(ms) else (np.nan,) * 3
+            cells.append(f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]")
+    return cells
+
+
+def marker_strides(walk: PathWalk, ic_s: FloatArray, fo_s: FloatArray) -> Iterator[dict[str, float]]:
+    """Of each foot off of the markers' its instants (s) by the names of a stride's columns, as far as they are seen."""
+    assert walk.frame is not None
+    height_m, forward = walk.position_m[:, 2], walk.frame[:, :, 0]
+    pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
+
+    def stance(begin_s: float, end_s: float) -> tuple[float, float]:
+        """Foot flat and heel rise within."""
+        first, last = round(begin_s * walk.rate_hz), round(end_s * walk.rate_hz)
+        middle = (first + last) // 2
+        low = np.abs(height_m - np.median(height_m[middle - 3 : middle + 4])) < HEEL_UP_M
+        flat = low & (np.abs(pitch - np.median(pitch[middle - 3 : middle + 4])) < TILT_RAD)
+        rolling, up = np.flatnonzero(~flat[first:middle]), np.flatnonzero(~low[middle:last])
+        begun = first + (rolling[-1] + 1 if len(rolling) else 0)
+        return begun / walk.rate_hz, (middle + up[0] if len(up) else last) / walk.rate_hz
+
+    for off_s in fo_s.tolist():
+        stride = {"t_swing_s": off_s}
+        before, after = ic_s[ic_s < off_s], ic_s[ic_s > off_s]
+        if len(before) and off_s - before[-1] < LONGEST_S:
+            stride["t_pre_swing_s"] = stance(before[-1], off_s)[1]
+        if len(after) and after[0] - off_s < LONGEST_S:
+            stride["t_loading_response_s"] = after[0]
+            following = fo_s[fo_s > after[0]]
+            if len(following) and following[0] - after[0] < LONGEST_S:
+                stride["t_stance_s"] = stance(after[0], following[0])[0]
+        yield stride
+
+
+def truth_table(data: Path) -> dict[str, list[str]]:
+    """By trial and foot the cells of the first table."""
+    found = {}
+    for name in NAMES:
+        result, truth = analyse(read_recording(TRIALS / f"{name}.parquet")), load_truth(TRIALS / f"{name}.parquet")
+        for foot in result.events:
+            found[f"{name} {foot}"] = against_truth(
+                result, foot, [asdict(s) for s in truth.strides_of(foot) if s.walking]
+            )
+    for each in feet_of(data, ["gaitmap_walk"]):
+        assert isinstance(each.walk, PathWalk)
+        result = analyse(Recording(each.run, None, {each.track.sensor: each.track}, belt_speed_mps=None))
+        strides = list(marker_strides(each.walk, np.sort(each.ic_s), np.sort(each.fo_s)))
+        found[f"gaitmap {each.track.sensor}"] = against_truth(result, each.track.sensor, strides)
+    return found
+
+
 def left_out(later: Later, person: str, rule: str, sizes: Iterable[float]) -> float:
     """The size with which the others' medians are nearest to their labels."""
 
@@ -87,6 +161,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Print the table; 3 without data."""
     parser = parser_of(__doc__, data_folder())
     options = parser.parse_args(arguments)
+    titles = [f"{transition} {kind}" for transition in ("T1", "T2", "T3", "T4") for kind in ("off-line", "live")]
+    against = truth_table(options.data)
+    table = Table("trial", *titles, title="later than the truth, ms, median [5–95 %]")
+    for trial, cells in against.items():
+        table.add_row(trial, *cells)
+    console_of(190).print(table)
     later = measured(options.data)
     if not later:
         print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
@@ -94,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     rules = (("foot flat", FLAT_DEG, FLAT_RAD, "T4"), ("heel rise", RISE_DEG, RISE_RAD, "T1"))
     columns = [word for rule, _, _, live in rules for word in (f"{rule} ms", "left out ms", f"live {live} ms")]
     table = Table("walker", *columns, title="later than the label, median ± SD")
-    rows = {}
+    rows = {trial: dict(zip(titles, cells, strict=True)) for trial, cells in against.items()}
     for person, own in sorted(later.items()):
         cells = []
         for rule, sizes, in_use, live in rules:

@@ -58,6 +58,8 @@ class WalkRecord:
     and ranges, the calibrations. ``commands`` and what follows are empty where nothing was stimulated. ``complete`` is
     False where the end is missing; ``lost`` says what that cost, "" if nothing. ``own_ns`` of a part of a longer walk:
     phases and strides are of what is newer than the first, up to the second; samples are of what lies around it, too.
+    ``live`` of an analysis, whose phases are at their off-line instants: phases and strides as the live machine has
+    them.
     """
 
     header: dict[str, Any]
@@ -76,3 +78,4 @@ class WalkRecord:
     complete: bool = False
     lost: str = ""
     own_ns: tuple[int, int] | None = None
+    live: tuple[list[PhaseChange], list[StrideResult]] | None = None

@@ -31,23 +31,36 @@ from fes.recording.chunks import Chunk
 from fes.recording.tracks import newer_samples
 from fes.signals import NS_PER_S, IntArray, StrideResult
 from fes.walk_record import Note, SampleArrays, WalkRecord
-from statemachine.phases import PhaseChange
+from statemachine.phases import PhaseChange, Transition
 
-_ENTRIES = ("t_pre_swing_ns", "t_swing_ns", "t_loading_response_ns", "t_stance_ns")
+_ENTRIES = {
+    "t_pre_swing_ns": Transition.T1,
+    "t_swing_ns": Transition.T2,
+    "t_loading_response_ns": Transition.T3,
+    "t_stance_ns": Transition.T4,
+}
 _PLACE = ("x_m", "y_m", "z_m", "heading_rad")
 _FOOT = Column("foot", str, "", "the sensor that it is from")
-PHASE_COLUMNS = (
+LIVE_PHASE_COLUMNS = (
     _FOOT,
     Column("t_s", float, "s", "the sample at which the transition fired", schema.NEGARD),
     Column("transition", str, "", "T1 to T6; T2 is foot off, T3 initial contact", f"{schema.NEGARD}, Fig. 5"),
     Column("from", str, "", "the phase that ended"),
     Column("to", str, "", "the phase that began"),
 )
+PHASE_COLUMNS = (
+    _FOOT,
+    Column("t_s", float, "s", "when it was, found off-line; empty of T5 and T6, and where it was not found"),
+    LIVE_PHASE_COLUMNS[1]._replace(name="t_live_s"),
+    *LIVE_PHASE_COLUMNS[2:],
+)
 EVENT_COLUMNS = (
     _FOOT,
     Column("t_foot_off_s", float, "s", "foot off (FO)"),
     Column("t_mid_swing_s", float, "s", "mid-swing: the fastest turn between foot off and contact"),
     Column("t_initial_contact_s", float, "s", "initial contact (IC)"),
+    Column("t_foot_off_live_s", float, "s", "when the live phase machine said so (T2); empty where it did not"),
+    Column("t_initial_contact_live_s", float, "s", "the same of initial contact (T3)"),
     Column("foot_strike_angle_rad", float, "rad", "pitch of the foot at initial contact, toe up positive"),
 )
 PATH_COLUMNS = (
@@ -60,6 +73,9 @@ PATH_COLUMNS = (
 @dataclass(frozen=True)
 class Analysis:
     """What a recording shows: phase changes and strides of all feet by time, and what became of the samples.
+
+    ``phases`` and the phases' entries in ``strides`` are at the instants of the live machine; rows and tables have
+    those found off-line beside them (``t_s``, ``t_live_s``).
 
     Of a long recording it is one ``chunk``: phase changes, strides, rows and counts are that chunk's own; the samples,
     events and paths are those around it too, and the paths go on where the chunk before ended (they are counted from
@@ -135,21 +151,85 @@ class Analysis:
     def stride_rows(self) -> list[dict[str, Any]]:
         """One flat row per stride with the columns of ``fes.estimation.strides.schema.TABLE``.
 
-        ``x_m``, ``y_m``, ``z_m`` and ``heading_rad`` are where the stride ends on the foot's path, NaN without a path.
+        The phases' entries are those found off-line, NaN where there are none. ``x_m``, ``y_m``, ``z_m`` and
+        ``heading_rad`` are where the stride ends on the foot's path, NaN without a path.
         """
         places = {}
         for foot, path in self.paths.items():
             ends_ns = np.array([stride.t_end_ns for stride in self.strides if stride.foot == foot], np.int64)
             places[foot] = iter(path.places_at(ends_ns).tolist())
         unknown = repeat((math.nan,) * len(_PLACE))
-        return [
-            schema.table_row(stride) | dict(zip(_PLACE, next(places.get(stride.foot, unknown)), strict=True))
-            for stride in self.strides
-        ]
+        rows = []
+        for stride, found in zip(self.strides, self.offline_entries, strict=True):
+            row = dict(zip(_PLACE, next(places.get(stride.foot, unknown)), strict=True))
+            for name in _ENTRIES:
+                entry = name.removesuffix("_ns")
+                row[f"{entry}_s"], row[f"{entry}_live_s"] = _seconds(found.get(name)), _seconds(getattr(stride, name))
+            row = schema.table_row(stride) | row
+            rows.append({column.name: row[column.name] for column in schema.TABLE})
+        return rows
 
     def phase_rows(self) -> list[dict[str, Any]]:
-        """One flat row per phase change; T2 is foot off (FO), T3 initial contact (IC)."""
-        return [phase_row(change) for change in self.phases]
+        """One flat row per phase change, by the live instants; T2 is foot off (FO), T3 initial contact (IC)."""
+        found = {
+            (foot, transition, live_ns): at_ns
+            for foot, live in self._live_ns.items()
+            for transition, times_ns in live.items()
+            for live_ns, at_ns in zip(times_ns.tolist(), self._offline_ns(foot)[transition].tolist(), strict=True)
+        }
+        rows = []
+        for change in self.phases:
+            row = phase_row(change)
+            both = {
+                "t_s": _seconds(found.get((change.foot, change.transition, change.t_ns))),
+                "t_live_s": row.pop("t_s"),
+            }
+            rows.append({"foot": row.pop("foot"), **both, **row})
+        return rows
+
+    def _offline_ns(self, foot: str) -> dict[Transition, IntArray]:
+        """Of every swing of a foot (K,) when its T1 to T4 were by the events; ``UNSEEN_NS`` where they do not say."""
+        events = self.events[foot]
+        nowhere = np.full(len(events), UNSEEN_NS, np.int64)
+        rise_ns, flat_ns = (nowhere if t is None else t for t in (events.heel_rise_ns, events.foot_flat_ns))
+        return dict(zip(_ENTRIES.values(), (rise_ns, events.fo_ns, events.ic_ns, flat_ns), strict=True))
+
+    @cached_property
+    def _live_ns(self) -> dict[str, dict[Transition, IntArray]]:
+        """By foot, of every swing (K,) when the live machine's T1 to T4 were; ``UNSEEN_NS`` where it did not see them.
+
+        Of several between two mid-swings, as where a heel was put back, those next to the swing.
+        """
+        found = {}
+        for foot, events in self.events.items():
+            own = [change for change in self.phases if change.foot == foot]
+            found[foot] = {which: np.full(len(events), UNSEEN_NS, np.int64) for which in _ENTRIES.values()}
+            for which, at_ns in found[foot].items():
+                fired = np.array([change.t_ns for change in own if change.transition is which], np.int64)
+                swing = np.searchsorted(events.mid_swing_ns, fired)
+                if which in (Transition.T3, Transition.T4):
+                    swing, fired = swing[::-1] - 1, fired[::-1]
+                of_one = (swing >= 0) & (swing < len(events))
+                at_ns[swing[of_one]] = fired[of_one]
+        return found
+
+    @cached_property
+    def offline_entries(self) -> list[dict[str, Any]]:
+        """Of each of the ``strides`` when its phases began by the off-line events (``t_swing_ns`` …), as far as known.
+
+        A stride with no swing that the events tell, or with two, has none; nor has a shank's.
+        """
+        every: list[dict[str, Any]] = [{} for _ in self.strides]
+        for foot, events in self.events.items():
+            own = [k for k, stride in enumerate(self.strides) if stride.foot == foot]
+            ends = np.array([(self.strides[k].t_start_ns, self.strides[k].t_end_ns) for k in own], np.int64)
+            swings = np.searchsorted(events.mid_swing_ns, ends.reshape(-1, 2))
+            times = np.column_stack(list(self._offline_ns(foot).values())).tolist()
+            for k, (first, last) in zip(own, swings.tolist(), strict=True):
+                if last - first == 1:
+                    entries = zip(_ENTRIES, times[first], strict=True)
+                    every[k] = {name: at_ns for name, at_ns in entries if at_ns != UNSEEN_NS}
+        return every
 
     def event_rows(self) -> list[dict[str, Any]]:
         """One flat row per swing, from foot off (FO) to initial contact (IC); found off-line, not causally."""
@@ -161,7 +241,9 @@ class Analysis:
             angles = foot_strike_angles(t_ns, gyr, events, calibration)
             own = np.array([self._walked(t_ns, t_ns) for t_ns in events.mid_swing_ns.tolist()], np.bool_)
             own &= True if self.chunk is None else self.chunk.owns(events.mid_swing_ns)
-            seconds = (1e-9 * t[own] for t in (events.fo_ns, events.mid_swing_ns, events.ic_ns))
+            live = (self._live_ns[foot][which] for which in (Transition.T2, Transition.T3))
+            times = (events.fo_ns, events.mid_swing_ns, events.ic_ns, *live)
+            seconds = (np.where(t[own] == UNSEEN_NS, math.nan, 1e-9 * t[own]) for t in times)
             names = [column.name for column in EVENT_COLUMNS[1:]]
             columns = [column.tolist() for column in (*seconds, angles[own])]
             rows += [{"foot": foot, **dict(zip(names, row, strict=True))} for row in zip(*columns, strict=True)]
@@ -212,30 +294,23 @@ class Analysis:
     def at_offline_instants(self) -> tuple[list[PhaseChange], list[StrideResult]]:
         """Phase changes and strides as of :attr:`phases` and :attr:`strides`, moved to the off-line events.
 
-        Heel rise, foot off, initial contact and foot flat are found with what came after; the phase machine knows them
-        only once it has seen enough. What it did not see is not added, and a stride of which one of the four is not
-        known, or would change places with the changes around it, stays as the machine saw it.
+        What the phase machine did not see is not added, and a stride of which one of the four is not known, or would
+        change places with the changes around it, is the same object as in :attr:`strides`.
         """
         moved: dict[tuple[str, int], int] = {}
         strides = list(self.strides)
-        for foot, events in self.events.items():
-            own = np.array([change.t_ns for change in self.phases if change.foot == foot], np.int64)
-            mids_ns = events.mid_swing_ns
-            for k, stride in enumerate(strides):
-                first, last = np.searchsorted(mids_ns, (stride.t_start_ns, stride.t_end_ns)).tolist()
-                seen = [getattr(stride, name) for name in _ENTRIES]
-                if stride.foot != foot or last - first != 1 or None in seen:
-                    continue
-                columns = (events.heel_rise_ns, events.fo_ns, events.ic_ns, events.foot_flat_ns)
-                to = [UNSEEN_NS if column is None else int(column[first]) for column in columns]
-                low, high = np.searchsorted(own, seen[0]), np.searchsorted(own, seen[-1], side="right")
-                before = own[low - 1] if low else stride.t_start_ns
-                after = own[high] if high < len(own) else stride.t_end_ns
-                if before < to[0] < to[1] < to[2] < to[3] < after:
-                    moved |= {(foot, was): t_ns for was, t_ns in zip(seen, to, strict=True)}
-                    strides[k] = replace(
-                        stride, t_pre_swing_ns=to[0], t_swing_ns=to[1], t_loading_response_ns=to[2], t_stance_ns=to[3]
-                    )
+        fired = {foot: np.array([c.t_ns for c in self.phases if c.foot == foot], np.int64) for foot in self.events}
+        for k, (stride, entries) in enumerate(zip(self.strides, self.offline_entries, strict=True)):
+            seen = [getattr(stride, name) for name in _ENTRIES]
+            if None in seen or len(entries) < len(seen):
+                continue
+            own, to = fired[stride.foot], list(entries.values())
+            low, high = np.searchsorted(own, seen[0]), np.searchsorted(own, seen[-1], side="right")
+            before = own[low - 1] if low else stride.t_start_ns
+            after = own[high] if high < len(own) else stride.t_end_ns
+            if before < to[0] < to[1] < to[2] < to[3] < after:
+                moved |= {(stride.foot, was): t_ns for was, t_ns in zip(seen, to, strict=True)}
+                strides[k] = replace(stride, **entries)
         phases = [replace(change, t_ns=moved.get((change.foot, change.t_ns), change.t_ns)) for change in self.phases]
         return sorted(phases, key=attrgetter("t_ns")), strides
 
@@ -270,11 +345,16 @@ class Analysis:
         part = None if self.chunk is None or self.chunk.whole else (self.chunk.begin_ns, self.chunk.end_ns)
         phases, strides = self.at_offline_instants()
         found: dict[str, Any] = {"phases": phases, "strides": strides, "notes": notes}
-        return WalkRecord(header, samples=samples, **found, complete=True, own_ns=part)
+        live = self.phases, self.strides
+        return WalkRecord(header, samples=samples, **found, complete=True, own_ns=part, live=live)
+
+
+def _seconds(t_ns: int | None) -> float:
+    return math.nan if t_ns is None or t_ns == UNSEEN_NS else 1e-9 * t_ns
 
 
 def phase_row(change: PhaseChange) -> dict[str, Any]:
-    """A phase change with the columns of :data:`PHASE_COLUMNS`."""
+    """A phase change with the columns of :data:`LIVE_PHASE_COLUMNS`."""
     phases = change.source.name.lower(), change.destination.name.lower()
-    names = (column.name for column in PHASE_COLUMNS)
+    names = (column.name for column in LIVE_PHASE_COLUMNS)
     return dict(zip(names, (change.foot, 1e-9 * change.t_ns, change.transition.name, *phases), strict=True))

@@ -50,7 +50,11 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
     ),
     STRIDES: pa.schema([*_OF[:2], *((column.name, _KINDS[column.kind]) for column in TABLE)]),
     EVENTS: pa.schema(
-        [*_OF, *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s", "foot_strike_angle_rad")]
+        [
+            *_OF,
+            *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s"),
+            *_numbers("t_foot_off_live_s", "t_initial_contact_live_s", "foot_strike_angle_rad"),
+        ]
     ),
 }
 

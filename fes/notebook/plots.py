@@ -64,14 +64,14 @@ class Plots:
         return _with_legend(axes)
 
     def phases(self, begin_s: float | None = None, seconds: float = 10.0, axes: Any = None) -> Any:
-        """Phases of each foot as bars, from ``begin_s`` (the first change) for some seconds."""
+        """Phases of each foot as bars, from ``begin_s`` (the first change) for some seconds; off-line where known."""
         axes, table = _axes(axes), self._result.phases
-        begin = float(table["t_s"].min()) if begin_s is None and len(table) else float(begin_s or 0.0)
+        begin = float(table["t_live_s"].min()) if begin_s is None and len(table) else float(begin_s or 0.0)
         shades = dict(zip(PHASES, (0.15, 0.45, 0.95, 0.7), strict=True))
         feet = _feet(table["foot"])
         for row, foot in enumerate(feet):
             own = table["foot"] == foot
-            t, names = table["t_s"][own], table["to"][own]
+            t, names = np.where(np.isnan(t_s := table["t_s"][own]), table["t_live_s"][own], t_s), table["to"][own]
             for start, end, name in zip(t[:-1], t[1:], names[:-1], strict=True):
                 if end > begin and start < begin + seconds and name in shades:
                     place = (start, min(end, begin + seconds) - start)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from fes.analysis.parameters.gait import ChunkedGait, GaitParameters, gait_parameters
 from fes.analysis.parameters.strides import StrideParameters
-from fes.analysis.results import PHASE_COLUMNS, Analysis, phase_row
+from fes.analysis.results import LIVE_PHASE_COLUMNS, Analysis, phase_row
 from fes.analysis.tables import Table, join_tables, table_of
 from fes.estimation.strides import schema
 from fes.notebook.plots import Plots
@@ -30,9 +30,10 @@ class Result:
     """What an analysis found. Iteration gives it for each part: one of up to half an hour, else of 15 minutes at most.
 
     Attributes:
-        strides: a row a stride.
-        events: a row a swing: foot off and initial contact, found with the whole recording.
-        phases: a row a change of phase, as the machine of a live session would have made it.
+        strides: a row a stride; ``t_swing_s`` and its like are found off-line, with the whole recording, and
+            ``t_swing_live_s`` … are when the machine of a live session would have said so.
+        events: a row a swing: foot off and initial contact, both ways.
+        phases: a row a change of phase, ``t_s`` and ``t_live_s``.
         path: a row a tenth of a second and foot: its place over the ground.
         parameters: gait parameters; ``.table`` has a row a valid stride, ``.summary`` means, sides and the walk's own.
     """
@@ -151,6 +152,6 @@ def gather(analyses: list[Analysis] | Callable[[], Iterator[Analysis]]) -> Resul
 
 def log_of(record: SessionRecord, source: str) -> Log:
     """A session log's tables; ``source`` names it in an agreement."""
-    strides = Table.from_rows(schema.TABLE, [schema.table_row(stride) for stride in record.strides])
-    phases = Table.from_rows(PHASE_COLUMNS, [phase_row(change) for change in record.phases])
+    strides = Table.from_rows(schema.LIVE_TABLE, [schema.table_row(stride) for stride in record.strides])
+    phases = Table.from_rows(LIVE_PHASE_COLUMNS, [phase_row(change) for change in record.phases])
     return Log(record, source, strides, phases, table_of([asdict(command) for command in record.commands]))

@@ -1,9 +1,10 @@
 """One row per stride: lengths, phases passed and the stimulation that went with it."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from statemachine.phases import Transition
 
 STANDING_S = 3.0  # a stance longer than this is standing, not walking, and stays out of the averages
 NAN = float("nan")
+DURATIONS = ("pre_swing_s", "swing_s", "loading_response_s", "stance_s")
 ENDS_A_STRIDE = (int(Transition.T4), int(Transition.T6))
 
 
@@ -34,7 +36,10 @@ class StrideStimulation:
 
 @dataclass(frozen=True)
 class StrideRow:
-    """One stride as people read it; NaN where a number is not known."""
+    """One stride as people read it; NaN where a number is not known.
+
+    ``live`` of an analysis: how long the phases are by the live machine (``swing_live_s`` …).
+    """
 
     foot: str
     number: int
@@ -58,6 +63,7 @@ class StrideRow:
     reason: str
     stimulation: tuple[StrideStimulation, ...] = ()
     refused: tuple[str, ...] = ()
+    live: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def stance_is_standing(self) -> bool:
@@ -95,6 +101,24 @@ def stride_rows(
             row = _row(stride, timelines.get(foot), time_ns, origin_ns)
             rows.append(replace(row, stimulation=stimulation, refused=tuple(reasons.values())))
     return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
+
+
+def beside_live(
+    rows: Sequence[StrideRow], live: Sequence[StrideRow], without: Collection[tuple[str, int]]
+) -> tuple[StrideRow, ...]:
+    """The rows of off-line instants, those of the live machine beside them.
+
+    ``without``: foot and number of strides that have no off-line instants, and so no durations by these.
+    """
+    unknown: dict[str, Any] = dict.fromkeys(DURATIONS, NAN)
+    return tuple(
+        replace(
+            row,
+            live={f"{name.removesuffix('_s')}_live_s": getattr(own, name) for name in DURATIONS},
+            **(unknown if (row.foot, row.number) in without else {}),
+        )
+        for row, own in zip(rows, live, strict=True)
+    )
 
 
 def _stimulation_in(stride: StrideResult, info: ChannelInfo, own: Sequence[Burst]) -> StrideStimulation:

@@ -13,7 +13,7 @@ from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.report import quality, stimulation
 from fes.report.by_hand import HandRow, hand_rows, is_stop_note
-from fes.report.strides import StrideRow, stride_rows
+from fes.report.strides import STANDING_S, StrideRow, beside_live, stride_rows
 from fes.report.text import Spread, plain, spread
 from fes.report.thresholds import MeasureRow, measure_rows, thresholds_set
 from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS, OperatorAction
@@ -34,7 +34,8 @@ class FootSummary:
     ``swings`` are those that the raw signals show (:mod:`fes.analysis.swings`), 0 without samples; ``unexplained``
     those of them that are no stride's, ``unexplained_from_s`` … ``unexplained_to_s`` where they lie. ``walking_s`` is
     how long the swings say that it walked, ``unexplained_s`` how much of it is in no stride. ``toe_given``: where its
-    toe is was measured and stated, not estimated.
+    toe is was measured and stated, not estimated. ``live`` of an analysis: the phases' durations as the live machine
+    has them (``swing_live_s`` …).
     """
 
     foot: str
@@ -60,6 +61,7 @@ class FootSummary:
     walking_s: float = 0.0
     unexplained_s: float = 0.0
     toe_given: bool = False
+    live: dict[str, Spread] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,13 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
     stride_time = spread(row.duration_s for row in valid)
     names = ("stride_length_m", "clearance_cm", "toe_clearance_cm", "pre_swing_s", "swing_s", "loading_response_s")
     spreads: dict[str, Any] = {name: spread(getattr(row, name) for row in valid) for name in names}
+    live = {
+        name: spread(row.live[name] for row in valid if name != "stance_live_s" or row.live[name] <= STANDING_S)
+        for name in (valid[0].live if valid else ())
+    }
     return FootSummary(
         **spreads,
+        live=live,
         foot=foot,
         strides=len(rows),
         valid=len(valid),
@@ -295,6 +302,11 @@ def summarise_session(record: WalkRecord) -> ReportData:
     stray = {number: stimulation.answers_without_command(commands[number], statuses[number]) for number in commands}
     refused = [c for c in record.commands if c.refused and not quality.behind_the_end(record, c.t_ns, c.refused)]
     rows = stride_rows(record.strides, timelines, infos, bursts, refused, origin_ns)
+    if record.live is not None and set(feet_known) <= set(FOOT_SENSORS):  # a shank has no off-line instants
+        phases, strides = record.live
+        live = {foot: stimulation.build_timeline(phases, foot, origin_ns, end_ns) for foot in feet_known}
+        kept = {(one.foot, one.number) for one, own in zip(record.strides, strides, strict=True) if one is own}
+        rows = beside_live(rows, stride_rows(strides, live, (), {}, (), origin_ns), kept)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
     given = _toes_given(record.header, settings)
     feet = {n: with_swings(replace(own, toe_given=n in given), record, origin_ns) for n, own in feet.items()}

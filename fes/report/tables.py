@@ -16,7 +16,7 @@ from fes.report.findings import findings
 from fes.report.stimulation import tuning_lines
 from fes.report.strides import StrideRow
 from fes.report.summary import FootSummary, SessionSummary
-from fes.report.text import capitalised, count_of, mean_sd, number, readable
+from fes.report.text import Spread, capitalised, count_of, mean_sd, number, readable
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.walk import HemipareticWalk
@@ -52,7 +52,8 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
     rows = summary.strides if limit is None else summary.strides[max(len(summary.strides) - limit, 0) :]
     notes = list(dict.fromkeys(text for row in rows for text in _notes(row)))
     legend = [
-        "len.: stride length; clr.: greatest height of the sensor; pre to stance: time",
+        "len.: stride length; clr.: greatest height of the sensor",
+        f"pre to stance: time, {'off-line' if any(row.live for row in rows) else 'as the phase machine saw it live'}",
         "path: 4 = all four phases, T6 = no loading response, +T5 = heel put back",
         "onset: after pre-swing began; dose: charge of one phase of all pulses",
         *(f"note {index}: {text}" for index, text in enumerate(notes, 1)),
@@ -105,7 +106,7 @@ def summary_block(summary: SessionSummary) -> RenderableType:
     """The session in about a dozen lines."""
     about = ", ".join(filter(None, (summary.subject, summary.recording, summary.created)))
     lines = [Text(f"{summary.name} ({about})  {summary.duration_s:.1f} s", style="bold")]
-    lines += [_foot_line(foot) for foot in summary.feet.values()]
+    lines += [_foot_line(foot, summary.kind) for foot in summary.feet.values()]
     for channel in summary.channels:
         if channel.bursts:
             counted = "" if channel.charge_counted_by_device else " (estimated)"
@@ -161,15 +162,23 @@ def closing_block(summary: SessionSummary) -> RenderableType:
     return Group(*lines)
 
 
-def _foot_line(foot: FootSummary) -> Text:
+def _foot_line(foot: FootSummary, kind: str) -> Text:
     text = f"  {readable(foot.foot)}: {foot.valid} of {count_of(foot.strides, 'stride')} valid"
     if foot.valid:
-        phases = {"pre-swing": foot.pre_swing_s, "swing": foot.swing_s}
-        phases |= {"loading": foot.loading_response_s, "stance": foot.stance_s}
-        times = [f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)}%" for label, s in phases.items()]
+        names = {"pre-swing": "pre_swing", "swing": "swing", "loading": "loading_response", "stance": "stance"}
+        times = _durations({label: getattr(foot, f"{name}_s") for label, name in names.items()})
+        if foot.live:
+            live = _durations({label: foot.live[f"{name}_live_s"] for label, name in names.items()})
+            times = f"off-line: {times}\n    live: {live}"
+        elif kind != "analysis":
+            times = f"live: {times}"
         length, lift = mean_sd(foot.stride_length_m, 2, "m"), mean_sd(foot.clearance_cm, 1, "cm")
-        text += f", length {length}, sensor lifted {lift}\n    {', '.join(times)}"
+        text += f", length {length}, sensor lifted {lift}\n    {times}"
     return Text(text)
+
+
+def _durations(phases: dict[str, Spread]) -> str:
+    return ", ".join(f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)}%" for label, s in phases.items())
 
 
 def parameter_table(parameters: GaitParameters) -> Table:

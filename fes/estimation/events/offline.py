@@ -510,7 +510,7 @@ FLAT_RAD, FLAT_RADPS, FLAT_OVER_S = np.radians(5.0), 2.0, 0.02  # the rate is th
 HEEL_DOWN_RAD = np.radians(1.0)
 RISE_RAD = np.radians(2.0)
 AROUND_S = 0.05  # mid-stance's pitch is the mean over this much before and after
-LONGEST_STANCE_S = 3.0  # of a longer one (standing) the parts next to contact and foot off count
+LONGEST_STANCE_S = 3.0  # of a longer one (standing, before and after a walk too) the parts next to the swings count
 
 
 def pitch_of(t_ns: IntArray, gyr_radps: FloatArray, calibration: FootCalibration) -> tuple[FloatArray, FloatArray]:
@@ -558,32 +558,38 @@ def stance_instants(
         rise_rad: how far from it the heel has risen.
     """
     rises, flats = (np.full(len(ic_ns), UNSEEN_NS, np.int64) for _ in range(2))
+    if not len(ic_ns):
+        return rises, flats
     seconds, pitch = pitch_of(t_ns, gyr_radps, calibration)
     _, roll = turned_about(calibration.forward(), t_ns, gyr_radps, calibration)
     gaps = gaps_in(t_ns)
     period_s = (seconds[-1] - float((seconds[gaps] - seconds[gaps - 1]).sum())) / max(len(t_ns) - 1 - len(gaps), 1)
     over, around = (max(round(span_s / period_s), 1) for span_s in (FLAT_OVER_S, AROUND_S))
-    contacts, offs = np.searchsorted(t_ns, ic_ns), np.searchsorted(t_ns, fo_ns)
     longest, slow_rad = round(LONGEST_STANCE_S / period_s), FLAT_RADPS * 2 * over * period_s
-    whole = np.diff(np.searchsorted(gaps, np.stack((contacts[:-1], offs[1:]))), axis=0)[0] == 0
+    begins, ends = np.empty(len(ic_ns) + 1, np.int64), np.empty(len(ic_ns) + 1, np.int64)
+    begins[1:], ends[:-1] = np.searchsorted(t_ns, ic_ns), np.searchsorted(t_ns, fo_ns)
+    # before the first swing and after the last the foot has to have stood for so long
+    begins[0], ends[-1] = ends[0] - longest, begins[-1] + longest
+    inside = (begins >= 0) & (ends < len(t_ns))
+    whole = inside & (np.searchsorted(gaps, begins) == np.searchsorted(gaps, ends))
     _in_stances(
-        t_ns, pitch, roll, contacts, offs, whole, over, around, longest, flat_rad, slow_rad, rise_rad, rises, flats
+        t_ns, pitch, roll, begins, ends, whole, over, around, longest, flat_rad, slow_rad, rise_rad, rises, flats
     )  # fmt: skip
     return rises, flats
 
 
 @jit_ieee
 def _in_stances(
-    t_ns: Vec, pitch: Vec, roll: Vec, contacts: Vec, offs: Vec, whole: Vec, over: int, around: int, longest: int,
+    t_ns: Vec, pitch: Vec, roll: Vec, begins: Vec, ends: Vec, whole: Vec, over: int, around: int, longest: int,
     flat_rad: float, slow_rad: float, rise_rad: float, rises: Vec, flats: Vec,
 ) -> None:  # fmt: skip
-    """Fill heel rises and foot flats (K,) of the stances from contact k to foot off k + 1, rows (K,) of the others.
+    """Fill heel rises and foot flats (K,) of K + 1 stances, each from the contact before it to the foot off after it.
 
-    ``whole`` (K - 1,): without a gap. ``over`` samples before and after say how fast it turns (less than ``slow_rad``
-    in that time), ``around`` before and after are mid-stance; a stance counts up to ``longest`` samples.
+    ``whole`` (K + 1,): seen without a gap. ``over`` samples before and after say how fast it turns (less than
+    ``slow_rad`` in that time), ``around`` before and after are mid-stance; a stance counts up to ``longest`` samples.
     """
-    for k in range(contacts.shape[0] - 1):
-        first, last = contacts[k], offs[k + 1]
+    for k in range(begins.shape[0]):
+        first, last = begins[k], ends[k]
         half = min(last - first, longest) // 2
         if half <= around + over or first < over or not whole[k]:
             continue
@@ -597,11 +603,14 @@ def _in_stances(
         down = first
         while pitch[down] - level < -HEEL_DOWN_RAD:  # it is so no longer at mid-stance
             down += 1
-        flats[k] = t_ns[max(at + 1, down)]
+        if k > 0:
+            flats[k - 1] = t_ns[max(at + 1, down)]
+        if k + 1 == begins.shape[0]:
+            continue
         level, at = _mean(pitch, last - half, around), last - 1
         while at > last - half and pitch[at] <= level - rise_rad:
             at -= 1
-        rises[k + 1] = t_ns[at]
+        rises[k] = t_ns[at]
 
 
 @jit_ieee

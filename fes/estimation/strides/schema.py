@@ -1,8 +1,8 @@
 """Every column of a stride once: its name, kind, unit, meaning and source.
 
-The record that compiled code fills (:data:`STRIDE`), the columns of ``strides.csv`` and its like (:data:`TABLE`), and
-the table in ``docs/strides.md`` are made from :data:`COLUMNS`. :class:`fes.signals.StrideResult` and the session log's
-record of a stride carry the same names; a test compares them.
+The record that compiled code fills (:data:`STRIDE`), the columns of ``strides.csv`` and its like (:data:`TABLE`), those
+of a session's strides (:data:`LIVE_TABLE`), and the table in ``docs/strides.md`` are made from :data:`COLUMNS`.
+:class:`fes.signals.StrideResult` and the session log's record of a stride carry the same names; a test compares them.
 """
 
 from __future__ import annotations
@@ -52,6 +52,10 @@ def _measure(name: str, unit: str, text: str, source: str = "") -> Column:
     return Column(name, float, unit, text, source, core=True)
 
 
+def _live(name: str, transition: str) -> Column:
+    return Column(name, float, "s", f"when the live phase machine said so ({transition})", f"{NEGARD}, Fig. 5")
+
+
 def _inner(name: str, kind: type, unit: str, text: str) -> Column:
     return Column(name, kind, unit, text, core=True, shown=False)
 
@@ -65,12 +69,16 @@ COLUMNS: Final = (
     _stamp("t_end_ns", "where it ends: the quietest instant of the stance after its swing", NEGARD),
     _stamp(
         "t_pre_swing_ns",
-        "heel off, the entry into pre-swing; empty where it was not seen",
+        "heel off, the entry into pre-swing, found off-line; empty where it was not seen",
         f"{NEGARD}, Fig. 5",
     ),
-    _stamp("t_swing_ns", "foot off, the entry into swing", f"{NEGARD}, Fig. 5"),
-    _stamp("t_loading_response_ns", "initial contact, the entry into loading response", f"{NEGARD}, Fig. 5"),
-    _stamp("t_stance_ns", "foot flat, the entry into stance", f"{NEGARD}, Fig. 5"),
+    _stamp("t_swing_ns", "foot off, the entry into swing, likewise", f"{NEGARD}, Fig. 5"),
+    _stamp("t_loading_response_ns", "initial contact, the entry into loading response, likewise", f"{NEGARD}, Fig. 5"),
+    _stamp("t_stance_ns", "foot flat, the entry into stance, likewise", f"{NEGARD}, Fig. 5"),
+    _live("t_pre_swing_live_s", "T1"),
+    _live("t_swing_live_s", "T2"),
+    _live("t_loading_response_live_s", "T3"),
+    _live("t_stance_live_s", "T4, or T6 where no contact was seen"),
     _measure("stride_length_m", "m", "horizontal distance of the sensor from start to end", f"{NEGARD}, Eq. (20)"),
     _measure("stride_length_sd_m", "m", "its uncertainty, one standard deviation; empty of a shank's"),
     _measure("speed_mps", "m/s", "stride length over the time from the end of the stride before", "Perry & Burnfield"),
@@ -94,6 +102,11 @@ COLUMNS: Final = (
 )
 
 TABLE: Final = tuple(column.in_table() for column in COLUMNS if column.shown)
+LIVE_TABLE: Final = tuple(
+    column._replace(text=column.text.replace(", found off-line", "").removesuffix(", likewise"))
+    for column in TABLE
+    if not column.name.endswith("_live_s")
+)
 _DTYPES: Final[dict[type, Any]] = {int: np.int64, float: np.float64}
 STRIDE: Final = np.dtype([(column.name, _DTYPES[column.kind]) for column in COLUMNS if column.core], align=True)
 _SHOWN: Final = [
@@ -104,7 +117,7 @@ _SHOWN: Final = [
 
 
 def table_row(stride: StrideResult) -> dict[str, Any]:
-    """A stride's columns of :data:`TABLE`, but where it lies on a path; a time that it has not is None."""
+    """A stride's columns of :data:`LIVE_TABLE`, but where it lies on a path; a time that it has not is None."""
     row: dict[str, Any] = {}
     for name, shown, is_time in _SHOWN:
         value = getattr(stride, name)
