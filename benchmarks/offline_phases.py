@@ -6,9 +6,10 @@ First of each bundled trial (its truth) and of the gaitmap walk (markers; the he
 truth's 5 mm and 2°, from the middle of the stance): how much later than the truth ``t_…_s`` and ``t_…_live_s`` of
 ``fes analyse`` are, median [5–95 %] in ms.
 
-Then foot flat and heel rise against footswitches (``footswitch_treadmill``), per walker: how much later than the label, median ± SD in ms, of labelled strides that the labels can judge; with the
-sizes in use (``fes/estimation/events/offline.py``), and with those that bring the other walkers' medians nearest to
-their labels. Where the switches lie under a foot differs between walkers by more than the rules do.
+Then foot flat and heel rise against footswitches (``footswitch_treadmill``), per walker: how much later than the label,
+median ± SD in ms, of labelled strides that the labels can judge; with the sizes in use
+(``fes/estimation/events/offline.py``), and with those that bring the other walkers' medians nearest to their labels.
+Where the switches lie under a foot differs between walkers by more than the rules do.
 """
 
 from __future__ import annotations

@@ -103,21 +103,22 @@ def stride_rows(
     return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
 
 
-def beside_live(
+def with_live(
     rows: Sequence[StrideRow], live: Sequence[StrideRow], without: Collection[tuple[str, int]]
 ) -> tuple[StrideRow, ...]:
-    """The rows of off-line instants, those of the live machine beside them.
+    """The rows of off-line instants, those of the live machine beside them, by foot and number.
 
-    ``without``: foot and number of strides that have no off-line instants, and so no durations by these.
+    Strides ``without`` off-line instants have no durations by these.
     """
     unknown: dict[str, Any] = dict.fromkeys(DURATIONS, NAN)
+    lasted = {
+        (row.foot, row.number): {f"{name.removesuffix('_s')}_live_s": getattr(row, name) for name in DURATIONS}
+        for row in live
+    }
+    keyed = [(row, (row.foot, row.number)) for row in rows]
     return tuple(
-        replace(
-            row,
-            live={f"{name.removesuffix('_s')}_live_s": getattr(own, name) for name in DURATIONS},
-            **(unknown if (row.foot, row.number) in without else {}),
-        )
-        for row, own in zip(rows, live, strict=True)
+        replace(row, live=lasted[key], **(unknown if key in without else {})) if key in lasted else row
+        for row, key in keyed
     )
 
 

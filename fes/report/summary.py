@@ -13,7 +13,7 @@ from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.report import quality, stimulation
 from fes.report.by_hand import HandRow, hand_rows, is_stop_note
-from fes.report.strides import STANDING_S, StrideRow, beside_live, stride_rows
+from fes.report.strides import STANDING_S, StrideRow, stride_rows, with_live
 from fes.report.text import Spread, plain, spread
 from fes.report.thresholds import MeasureRow, measure_rows, thresholds_set
 from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS, OperatorAction
@@ -302,11 +302,12 @@ def summarise_session(record: WalkRecord) -> ReportData:
     stray = {number: stimulation.answers_without_command(commands[number], statuses[number]) for number in commands}
     refused = [c for c in record.commands if c.refused and not quality.behind_the_end(record, c.t_ns, c.refused)]
     rows = stride_rows(record.strides, timelines, infos, bursts, refused, origin_ns)
-    if record.live is not None and set(feet_known) <= set(FOOT_SENSORS):  # a shank has no off-line instants
-        phases, strides = record.live
+    if record.live is not None:
+        phases, strides = record.live[0], [own for own in record.live[1] if own.foot in FOOT_SENSORS]
         live = {foot: stimulation.build_timeline(phases, foot, origin_ns, end_ns) for foot in feet_known}
-        kept = {(one.foot, one.number) for one, own in zip(record.strides, strides, strict=True) if one is own}
-        rows = beside_live(rows, stride_rows(strides, live, (), {}, (), origin_ns), kept)
+        unmoved = {id(stride) for stride in record.strides}
+        kept = {(stride.foot, stride.number) for stride in strides if id(stride) in unmoved}
+        rows = with_live(rows, stride_rows(strides, live, (), {}, (), origin_ns), kept)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
     given = _toes_given(record.header, settings)
     feet = {n: with_swings(replace(own, toe_given=n in given), record, origin_ns) for n, own in feet.items()}

@@ -144,7 +144,7 @@ def test_rows_hold_every_stride_and_phase_change(analysed):
     strides, phases = analysed.stride_rows(), analysed.phase_rows()
     assert len(strides) == len(analysed.strides)
     assert strides[0]["stride_length_m"] == analysed.strides[0].stride_length_m
-    assert [row["t_s"] for row in phases] == [1e-9 * change.t_ns for change in analysed.phases]
+    assert [row["t_live_s"] for row in phases] == [1e-9 * change.t_ns for change in analysed.phases]
     events = analysed.event_rows()
     assert abs(len(events) - len(strides)) <= 4
     assert all(row["t_foot_off_s"] < row["t_mid_swing_s"] < row["t_initial_contact_s"] for row in events)

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.estimation.strides.schema import COLUMNS, STRIDE, TABLE, markdown, table_row
+from fes.estimation.strides.schema import COLUMNS, LIVE_TABLE, STRIDE, TABLE, markdown, table_row
 from fes.session_log.codec import decode, encode
 from fes.signals import StrideResult
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "strides.md"
 PATH = {"x_m", "y_m", "z_m", "heading_rad"}
+LIVE = {f"t_{phase}_live_s" for phase in ("pre_swing", "swing", "loading_response", "stance")}
 RESULT = StrideResult(
     "left_foot", 3, 10, 2_000_000_000, 1.2, 0.1, 0.0, 0.02, 1.1, 5, None, 6, 7, 0.02, 0.2, True, "why",
     np.zeros((101, 3)), np.zeros(101),
@@ -23,14 +24,15 @@ RESULT = StrideResult(
 
 def test_a_stride_has_the_columns_that_the_schema_states() -> None:
     carried = {field.name for field in fields(StrideResult)} - {"trajectory_m", "pitch_rad", "roll_rad"}
-    assert carried == {column.name for column in COLUMNS if column.shown} - PATH
+    assert carried == {column.name for column in COLUMNS if column.shown} - PATH - LIVE
     assert len({column.name for column in COLUMNS}) == len(COLUMNS)
     assert set(STRIDE.names or ()) >= carried - {"foot", "valid", "reason"}
 
 
 def test_a_row_of_the_table_is_in_seconds() -> None:
     row = table_row(RESULT)
-    assert set(row) | PATH == {column.name for column in TABLE}
+    assert set(row) | PATH == {column.name for column in LIVE_TABLE} == {column.name for column in TABLE} - LIVE
+    assert "off-line" not in " ".join(column.text for column in LIVE_TABLE)
     assert (row["t_end_s"], row["t_pre_swing_s"], row["t_swing_s"]) == (2.0, 5e-9, None)
     assert row["stride_length_m"] == 1.2
     assert all(column.text and (column.unit or column.kind is not float) for column in TABLE)

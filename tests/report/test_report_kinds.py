@@ -6,12 +6,14 @@ import csv
 import re
 from collections.abc import Iterable
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 import report_records as make
 from replays import SETTINGS, TRIALS, Replays, both_feet, bursts, cut, replay, trial
+from rich.console import Console
 from shank_walks import shank_walk
 from test_one_process import run
 
@@ -23,6 +25,7 @@ from fes.recording.chunks import Chunk, cut_into_chunks
 from fes.report.findings import findings, front_page
 from fes.report.page import render_report
 from fes.report.summary import SessionSummary, summarise
+from fes.report.tables import summary_block
 from fes.session_log import Note, SessionRecord, read_session
 from fes.signals import NS_PER_S
 from fes.stimulation.tuning.answering import NO_ANSWER
@@ -266,7 +269,7 @@ def test_what_a_part_of_a_long_recording_has_around_it_is_not_unexplained() -> N
 @pytest.mark.parametrize("name", ["both_feet_200hz", "negard_patient2"])
 def test_off_line_phases_are_the_off_line_instants(name: str) -> None:
     result = analyse(trial(name))
-    live = summarise(replace(result.walk_record(), phases=result.phases, strides=result.strides))
+    live = summarise(replace(result.walk_record(), phases=result.phases, strides=result.strides, live=None))
     off_line = summarise(result.walk_record())
     with (TRIALS / f"{name}.strides.csv").open() as file:
         truth = [row for row in csv.DictReader(file) if row["steady"] == "yes"]
@@ -279,7 +282,18 @@ def test_off_line_phases_are_the_off_line_instants(name: str) -> None:
             off_s, live_s = (getattr(each.feet[foot], key).mean for each in (off_line, live))
             assert abs(off_s - true_s) < abs(live_s - true_s), "not the delay of the phase machine"
         assert own.four_phases == live.feet[foot].four_phases
+        beside = {name: getattr(live.feet[foot], name.replace("_live_s", "_s")) for name in own.live}
+        assert own.live == beside
+        assert set(own.live) == {f"{phase}_live_s" for phase in ("pre_swing", "swing", "loading_response", "stance")}
     assert [row.path for row in off_line.strides] == [row.path for row in live.strides]
+    assert not live.strides[0].live
+    page, first = render_report(result.walk_record()), next(iter(off_line.feet.values()))
+    assert f'<span class="live">{first.live["loading_response_live_s"].mean:.2f} s' in page
+    console = Console(width=110, file=StringIO(), record=True)
+    console.print(summary_block(off_line))
+    printed = console.export_text()
+    assert f"loading {first.loading_response_s.mean:.2f} s" in printed.split("off-line: ")[1].split("\n")[0]
+    assert f"loading {first.live['loading_response_live_s'].mean:.2f} s" in printed.split(" live: ")[1].split("\n")[0]
     assert isinstance(result.chunk, Chunk)
 
 
