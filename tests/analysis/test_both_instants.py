@@ -106,9 +106,10 @@ def test_every_file_format_has_both(tmp_path: Path, result: Analysis, kind: str)
 
 def table(path: Path) -> list[dict[str, Any]]:
     if path.suffix == ".parquet":
-        return parquet.read_table(path).to_pylist()
+        rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
+        return rows
     with path.open() as file:
-        return json.load(file) if path.suffix == ".json" else list(csv.DictReader(file))
+        return list(json.load(file) if path.suffix == ".json" else csv.DictReader(file))
 
 
 def test_python_has_both_and_a_session_the_live_ones_alone(result: Analysis) -> None:
