@@ -2,10 +2,10 @@
 
 Plain functions of plain numbers: ``transitions`` calls them as they are, and the estimation core compiles the very same
 functions. Source: Negård et al. (2005), "Gait Phases Detection": which phase may follow which, and what is looked at.
-Departure: all limits are shares of this person's own push-off, fall from push-off to mid-swing, stride time and jump of
-the force at contact, so that one setting holds for a healthy walker in a hurry and for a foot that shuffles or drags,
-and at every sampling rate. What no stance, swing or loading response is shorter or longer than is a share of the
-stride, so that no phase can be held up by a sign that does not come (a stance without rest, a contact without a jolt).
+Departure: all limits are shares of this person's own push-off, fall from push-off to mid-swing, times and jump of the
+force at contact, so that one setting holds for a healthy walker in a hurry and for a foot that shuffles or drags,
+and at every sampling rate. How long a swing or a loading response may last is told by this person's own, never by the
+stride: who is slow stands longer and need not swing longer.
 """
 
 from typing import NamedTuple
@@ -16,28 +16,31 @@ FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": 
 class Features(NamedTuple):
     """What the guards may look at, at one sample of one foot. All causal.
 
-    ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive; ``toe_down_change_radps2`` is how
-    fast that rate has grown in the last hundredths of a second. ``toe_down_peak_radps`` is the
-    greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
-    (both not negative). ``in_swing_s`` counts from the push-off that swing began with, or from a greater one that soon
-    followed: a weak push-off may come in two. ``turned_rad`` is how far the foot has turned toe-down since it last
-    turned back, ``pitch_rad`` how far since it last lay flat, toe-up positive.
+    ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
+    greatest toe-down rate since pre-swing began, ``toe_up_peak_radps`` the greatest toe-up rate since swing began, and
+    ``landing_peak_radps`` the greatest rate either way since contact (none is negative). ``turned_rad`` is how far the
+    foot has turned toe-down since it last stood still in stance. ``pitch_rad`` is how far it is from this person's own
+    flat pitch, learnt in mid-stance, toe-up positive, and ``pitch_sd_rad`` how far off it usually is when the foot has
+    landed and stands still: what integration over a swing leaves.
     ``contact_jerk_mps3`` is the change of the vertical acceleration over the last 10 ms, or half that of the whole
-    force where that is more, per second. ``since_contact_s`` counts from the last entry into loading response.
-    ``resting_s`` is how long the foot has hardly turned; ``travelling``: its dead-reckoned speed says that it moves all
-    the same.
+    force where that is more, per second. ``in_swing_s`` counts from foot off, ``since_contact_s`` from contact.
+    ``resting_s`` is how long the foot has hardly turned, ``settled_s`` how long it has stood still since contact,
+    ``calm_s`` how long its force has been gravity's alone. ``travelling``: its dead-reckoned speed says that it moves.
     """
 
     toe_down_radps: float
-    toe_down_change_radps2: float
     toe_down_peak_radps: float
     toe_up_peak_radps: float
+    landing_peak_radps: float
     turned_rad: float
     pitch_rad: float
+    pitch_sd_rad: float
     contact_jerk_mps3: float
     in_swing_s: float
     since_contact_s: float
     resting_s: float
+    settled_s: float
+    calm_s: float
     travelling: bool
 
 
@@ -51,10 +54,14 @@ class Thresholds(NamedTuple):
     push_off_radps: float = 6.0  # typical peak of the toe-down rate
     fall_radps: float = 12.0  # from there to the greatest toe-up rate of the swing
     stride_s: float = 1.2  # from contact to contact
+    swing_s: float = 0.45  # from foot off to contact
+    loading_s: float = 0.15  # from contact to foot flat
     contact_jerk_mps3: float = 2000.0  # typical jump of the force at contact
-    rest_share: float = 0.18  # T4–T6: at rest below this rate
-    heel_rise_share: float = 0.22  # T1: moving above this rate …
-    heel_rise_rad: float = 0.07  # … once it has turned by 4° …
+    rest_share: float = 0.18  # T3, T5, T6: at rest below this rate
+    still_radps: float = 0.25  # T1, T4: still below this rate (14°/s), …
+    still_share: float = 0.05  # … or, of a brisk foot that never is, below this share of its rate
+    heel_rise_rad: float = 0.04  # T1: the foot has turned by 2.3° since it stood still, the heel is about 5 mm up, …
+    heel_rise_share: float = 0.12  # … it goes on above this rate, …
     heel_rise_after: float = 0.26  # … and this share of the stride after contact, before which no heel rises
     toe_up_share: float = 0.3  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
     toe_up_after: float = 0.35  # … and, for T1, this share of the stride after contact
@@ -64,28 +71,28 @@ class Thresholds(NamedTuple):
     push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     carried_share: float = 0.1  # T2: carried along, a foot swings as soon as it turns toe-up above this rate
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
-    push_off_again: float = 0.15  # T3: of the stride: a greater push-off so soon after T2 begins the swing anew
-    shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
-    longest_swing_stride_s: float = 1.8  # … for swing does not lengthen with slower strides than this
+    shortest_swing: float = 0.6  # T3: of this person's own swing; the jolts of foot off end before
     mid_swing_share: float = 0.65  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
-    rising_share: float = 0.25  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
-    landed_share: float = 0.15  # T3: a foot that has landed turns toe-down at this rate, …
-    struck_share: float = 0.03  # … or at this one if it is struck: …
-    struck_per_s: float = 8.0  # … the rate grows by so many times the push-off's each second
+    rising_share: float = 0.4  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
+    landed_share: float = 0.15  # T3, T4: a foot that has landed turns at this rate
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
-    soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
-    shortest_loading: float = 0.03  # T4: of the stride after contact; the foot is not flat before
-    flat_rad: float = 0.07  # T4: the pitch is within 4° of flat, or …
-    flat_share: float = 0.027  # … at rest for this share of the stride, or …
-    longest_loading: float = 0.08  # … at the latest this share of the stride after contact, …
-    longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
-    put_back: float = 0.13  # T5, T6: at rest for this share of the stride
+    soft_contact: float = 0.3  # T3: after so long at rest, of the swing, it has landed without a jolt, …
+    soft_contact_s: float = 0.04  # … or after so long with nothing but gravity upon it
+    shortest_loading_s: float = 0.03  # T4: a contact's jolt ends before
+    flat_rad: float = 0.03  # T4: the foot is within 1.7° of flat, …
+    settling_s: float = 0.02  # … which counts where it turns for so long at the rate it has, or …
+    settled_share: float = 0.35  # … its rate has died away to this share of its peak since contact, …
+    near_sds: float = 3.0  # … within so many standard deviations of flat, or …
+    settled_after_s: float = 0.08  # … it has stood still for so long, or …
+    longest_loading: float = 2.0  # … so many of this person's own loading responses have passed
+    put_back: float = 0.8  # T5, T6: at rest for this share of the swing
 
 
 def t1(x: Features, p: Thresholds) -> bool:
     """Stance → pre-swing: the heel rises (or the foot is dragged off without that).
 
-    The paper asks for movement of both sensors; a foot rolls on all through stance, so how far it has turned decides.
+    The paper asks for movement of both sensors. A foot rolls on all through stance, so how far it has turned since it
+    last stood still decides, and that it goes on turning.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     return (
@@ -125,7 +132,7 @@ def t3(x: Features, p: Thresholds) -> bool:
     The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. It knows no soft contact.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    if x.in_swing_s < p.shortest_swing * min(p.stride_s, p.longest_swing_stride_s):
+    if x.in_swing_s < p.shortest_swing * p.swing_s:
         return False
     if (
         x.toe_down_peak_radps + x.toe_up_peak_radps < p.mid_swing_share * p.fall_radps
@@ -134,27 +141,40 @@ def t3(x: Features, p: Thresholds) -> bool:
         return False
     return (
         x.toe_down_radps > p.landed_share * rate
-        or (x.toe_down_radps > p.struck_share * rate and x.toe_down_change_radps2 > p.struck_per_s * rate)
         or x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
-        or (x.resting_s > p.soft_contact * p.stride_s and not x.travelling)
+        or (
+            not x.travelling
+            and (
+                x.resting_s > p.soft_contact * p.swing_s
+                or (x.resting_s > p.soft_contact_s and x.calm_s > p.soft_contact_s)
+            )
+        )
     )
 
 
 def t4(x: Features, p: Thresholds) -> bool:
-    """Loading response → stance: the foot is flat; without rest, once it must be.
+    """Loading response → stance: the foot is flat, or its turn has died away, or it stands still.
 
-    The paper waits for rest of both sensors, which a brisk walker's foot never comes to.
+    The paper waits for rest of both sensors, which a brisk walker's foot never comes to. A foot that lands on its heel
+    comes down to flat, one that lands on its toes from below; both end in a plateau of the pitch. How well the pitch is
+    known after a swing differs from sensor to sensor, so it says itself how much it counts.
     """
-    return x.since_contact_s > p.shortest_loading * p.stride_s and (
-        abs(x.pitch_rad) < p.flat_rad
-        or x.resting_s > p.flat_share * p.stride_s
-        or x.since_contact_s > p.longest_loading * min(p.stride_s, p.longest_loading_stride_s)
+    rate = max(p.push_off_radps, 0.5 * p.fall_radps)
+    return x.since_contact_s > p.shortest_loading_s and (
+        abs(x.pitch_rad) + p.settling_s * abs(x.toe_down_radps) < p.flat_rad
+        or (
+            x.landing_peak_radps > p.landed_share * rate
+            and abs(x.toe_down_radps) < p.settled_share * x.landing_peak_radps
+            and abs(x.pitch_rad) < p.near_sds * x.pitch_sd_rad
+        )
+        or x.settled_s > p.settled_after_s
+        or x.since_contact_s > p.longest_loading * p.loading_s
     )
 
 
 def t5(x: Features, p: Thresholds) -> bool:
     """Pre-swing → stance: the heel was lifted and put back."""
-    return x.resting_s > p.put_back * p.stride_s and not x.travelling
+    return x.resting_s > p.put_back * p.swing_s and not x.travelling
 
 
 def t6(x: Features, p: Thresholds) -> bool:
@@ -162,4 +182,4 @@ def t6(x: Features, p: Thresholds) -> bool:
 
     The paper asks for no duration; a slow swing comes to a halt above the ground before it lands, so rest must last.
     """
-    return x.resting_s > p.put_back * p.stride_s and not x.travelling
+    return x.resting_s > p.put_back * p.swing_s and not x.travelling

@@ -227,11 +227,16 @@ FLAT_BOUNDS_RADPS = (0.4, 2.5)  # … within these
 STILL_PER_FLOOR = 1.8  # the ankle is still below this multiple of what it shows in mid-stance …
 STILL_BOUNDS_MPS2 = (1.5, 8.0)  # … within these
 RISING_SHARE = 0.4  # a shank's contact comes before its lean has quite come to a stop
-SHARES = {  # where a shank is not as a foot; it leans on through contact, and is not struck
+SHARES = {  # where a shank is not as a foot: it leans on through contact and stance, and its pitch is no foot's
+    "heel_rise_rad": 0.07,
     "heel_rise_after": 0.25,
     "mid_swing_share": 0.55,
-    "struck_share": math.inf,
-    "longest_loading": 0.15,
+    "still_radps": 1.0,  # of its lean while the ankle stands
+    "flat_rad": 0.07,
+    "settling_s": 0.0,
+    "settled_share": 0.0,
+    "settled_after_s": 0.03,
+    "longest_loading": 1.0,
 }
 LEAST_JOLT_MPS3 = 500.0
 NEVER = Thresholds(push_off_radps=math.inf, fall_radps=math.inf, contact_jerk_mps3=math.inf, stride_s=math.inf)
