@@ -23,7 +23,21 @@ from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.numerics.records import new_core
 from fes.estimation.strides.results import StrideMaker, StrideSettings
-from fes.estimation.tracking.phase_features import FOLLOW, LEAST, LONG_REST_S, MOST, USUAL, enter_phase
+from fes.estimation.tracking.phase_features import (
+    CALM_MPS2,
+    FIRST_PITCH_SD_RAD,
+    FLAT_S,
+    FOLLOW,
+    LANDED_S,
+    LEAST,
+    LEAST_PITCH_SD_RAD,
+    LONG_REST_S,
+    MEASURES,
+    MOST,
+    TURNED_S,
+    USUAL,
+    enter_phase,
+)
 from fes.estimation.tracking.tracker import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, Outcome
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
@@ -497,10 +511,11 @@ def test_one_setting_holds_at_any_rate(name: str) -> None:
 class Core:
     """The compiled core alone, sample by sample at 100 Hz, in a phase that only the test changes."""
 
-    def __init__(self, phase: Phase = Phase.STANCE) -> None:
+    def __init__(self, phase: Phase = Phase.STANCE, stride_s: float = 1.2) -> None:
         self.calibration = replace(
             walk("left_foot")[1], up=(0.0, 0.0, 1.0), toe_down=(0.0, 1.0, 0.0), acc_bias_mps2=(0.0, 0.0, 0.0),
-            gyr_bias_radps=(0.0, 0.0, 0.0), push_off_radps=6.0, fall_radps=10.0, stride_s=1.2, contact_jerk_mps3=2000.0,
+            gyr_bias_radps=(0.0, 0.0, 0.0), push_off_radps=6.0, fall_radps=10.0, stride_s=stride_s,
+            contact_jerk_mps3=2000.0,
         )  # fmt: skip
         parameters, thresholds = self.calibration.parameters(), self.calibration.thresholds()
         parts = {"parameters": parameters, "thresholds": thresholds, "settings": OrientationSettings()}
@@ -530,13 +545,23 @@ class Core:
     def measures(self) -> Thresholds:
         return Thresholds._make(self.core.thresholds.item())
 
-    def stride(self, peak_radps: float, fall_radps: float, stride_s: float, jerk_mps3: float) -> Thresholds:
+    def stride(
+        self,
+        push_off_radps: float,
+        fall_radps: float,
+        stride_s: float,
+        swing_s: float,
+        loading_s: float,
+        contact_jerk_mps3: float,
+    ) -> Thresholds:
         """One stride that shows this, from contact to contact; the measures after it."""
         enter_phase(self.core, int(Phase.SWING))
-        self.state["toe_down_peak"], self.state["toe_up_peak"] = peak_radps, fall_radps - peak_radps
+        self.state["toe_down_peak"], self.state["toe_up_peak"] = push_off_radps, fall_radps - push_off_radps
         self.state["t_ns"] = self.state["contact_ns"] + round(1e9 * stride_s)
+        self.state["swing_ns"] = self.state["t_ns"] - round(1e9 * swing_s)
         enter_phase(self.core, int(Phase.LOADING_RESPONSE))
-        self.state["greatest_jerk"] = jerk_mps3
+        self.state["greatest_jerk"] = contact_jerk_mps3
+        self.state["t_ns"] += round(1e9 * loading_s)
         enter_phase(self.core, int(Phase.STANCE))
         return self.measures()
 
@@ -599,33 +624,105 @@ def test_features_are_rates_per_second() -> None:
     assert x.in_swing_s == pytest.approx(0.03)
 
 
-def test_a_swing_is_as_old_as_the_greater_of_two_push_offs() -> None:
-    def in_swing_s(turn_s: float, *, toe_up_radps: float = 0.0) -> float:
-        core = Core(Phase.SWING)
-        core.feed(0.01, (0.0, 1.0, 0.0))
-        core.feed(turn_s - 0.02, (0.0, -toe_up_radps, 0.0))
-        return core.feed(0.02, (0.0, 2.0, 0.0))[-1].in_swing_s
-
-    core = Core(Phase.SWING)
-    soon_s = 0.5 * core.measures().push_off_again * core.measures().stride_s
-    late_s = 1.5 * core.measures().push_off_again * core.measures().stride_s
-    assert in_swing_s(soon_s) == pytest.approx(0.01)
-    assert in_swing_s(late_s) == pytest.approx(late_s + 0.01, abs=0.011)
-    assert in_swing_s(soon_s, toe_up_radps=4.0) == pytest.approx(soon_s + 0.01, abs=0.011)
-
-
 def test_of_a_jump_sideways_half_counts() -> None:
     core = Core(Phase.SWING)
     assert core.feed(0.01, extra=np.array([8.0, 0.0, 0.0]))[-1].contact_jerk_mps3 == pytest.approx(400.0, rel=1e-6)
     assert core.feed(0.01, extra=np.array([8.0, 0.0, 0.0]))[-1].contact_jerk_mps3 == pytest.approx(0.0, abs=1.0)
 
 
-def test_how_far_it_has_turned_counts_since_it_last_turned_back() -> None:
+DOWN, UP = (0.0, 3.0, 0.0), (0.0, -3.0, 0.0)
+
+
+def test_how_far_it_has_turned_counts_since_it_last_stood_still() -> None:
     core = Core()
-    assert core.feed(0.2, (0.0, 0.5, 0.0))[-1].turned_rad == pytest.approx(0.1, abs=1e-4)
-    assert core.feed(0.1, (0.0, 0.5, 0.0))[-1].turned_rad == pytest.approx(0.15, abs=1e-4)
-    assert core.feed(0.01, (0.0, -0.1, 0.0))[-1].turned_rad == 0.0
-    assert core.feed(0.1, (0.0, 0.5, 0.0))[-1].turned_rad == pytest.approx(0.05, abs=1e-4)
+    assert core.feed(0.1, DOWN)[-1].turned_rad == pytest.approx(0.3, abs=1e-3)
+    assert core.feed(0.05, UP)[-1].turned_rad == pytest.approx(0.15, abs=1e-3)  # turning back begins nothing anew
+    assert core.feed(TURNED_S)[-1].turned_rad == pytest.approx(0.15 / math.e, rel=0.05)
+    assert core.feed(5.0 * TURNED_S)[-1].turned_rad < 0.001
+    assert core.feed(0.1, DOWN)[-1].turned_rad == pytest.approx(0.3, abs=1e-3)
+
+
+def test_the_pitch_becomes_the_flat_one_while_the_foot_stands_still() -> None:
+    core = Core()
+    assert core.feed(0.1, DOWN)[-1].pitch_rad == pytest.approx(-0.3, abs=1e-3)
+    assert core.feed(FLAT_S)[-1].pitch_rad == pytest.approx(-0.3 / math.e, rel=0.05)
+    assert abs(core.feed(5.0 * FLAT_S)[-1].pitch_rad) < 0.002
+    assert core.feed(0.1, UP)[-1].pitch_rad == pytest.approx(0.3, abs=2e-3)
+
+
+@pytest.mark.parametrize("phase", [Phase.PRE_SWING, Phase.SWING, Phase.LOADING_RESPONSE])
+def test_a_halt_outside_stance_is_neither_flat_nor_the_beginning_of_a_turn(phase: Phase) -> None:
+    core = Core(phase)
+    core.feed(0.1, DOWN)
+    x = core.feed(0.5)[-1]
+    assert (x.turned_rad, x.pitch_rad) == pytest.approx((0.3, -0.3), abs=1e-3)
+
+
+def test_still_is_below_a_rate_or_below_a_share_of_a_brisk_foots() -> None:
+    for push_off_radps in (2.0, 20.0):
+        core = Core(Phase.LOADING_RESPONSE)
+        core.core.thresholds.push_off_radps = push_off_radps
+        p = core.measures()
+        limit = max(p.still_radps, p.still_share * max(push_off_radps, 0.5 * p.fall_radps))
+        seen = [core.feed(0.01, (0.0, rate, 0.0))[-1].settled_s for rate in (1.001 * limit, 0.999 * limit, 0.0)]
+        assert seen == pytest.approx([0.0, 0.01, 0.02]), push_off_radps
+
+
+def test_it_has_settled_since_contact_at_the_earliest() -> None:
+    core = Core(Phase.SWING)
+    core.feed(0.2)
+    enter_phase(core.core, int(Phase.LOADING_RESPONSE))
+    assert core.feed(0.03)[-1].settled_s == pytest.approx(0.03)
+    enter_phase(core.core, int(Phase.STANCE))
+    assert core.feed(0.01)[-1].settled_s == pytest.approx(0.04)
+
+
+def test_it_is_calm_while_nothing_but_gravity_is_upon_it() -> None:
+    core = Core(Phase.SWING)
+    assert core.feed(0.02, extra=np.array([1.1 * CALM_MPS2, 0.0, 0.0]))[-1].calm_s == 0.0
+    assert core.feed(0.02, extra=np.array([0.9 * CALM_MPS2, 0.0, 0.0]))[-1].calm_s == pytest.approx(0.02)
+    assert core.feed(0.02, extra=np.array([0.0, 0.0, -1.1 * CALM_MPS2]))[-1].calm_s == 0.0
+
+
+def test_how_far_from_flat_it_stands_still_after_a_landing_is_followed() -> None:
+    def after(*landings_rad: float) -> float:
+        core = Core()
+        for pitch_rad in landings_rad:
+            enter_phase(core.core, int(Phase.LOADING_RESPONSE))
+            core.state["pitch_rad"] = pitch_rad
+            seen = core.feed(2.0 * core.measures().settled_after_s)
+            assert len({x.pitch_sd_rad for x in seen}) <= 2, "once a landing"
+        return seen[-1].pitch_sd_rad
+
+    first = FIRST_PITCH_SD_RAD + FOLLOW * (0.2 - FIRST_PITCH_SD_RAD)
+    assert after(0.2) == after(-0.2) == pytest.approx(first)
+    assert after(0.2, 0.1) == pytest.approx(first + FOLLOW * (0.1 - first))
+    assert after(*[0.0] * 20) == LEAST_PITCH_SD_RAD
+
+
+def test_standing_still_long_after_contact_or_in_swing_tells_nothing_of_the_landing() -> None:
+    for phase, moved_s in ((Phase.LOADING_RESPONSE, LANDED_S), (Phase.SWING, 0.1)):
+        core = Core(phase)
+        core.feed(moved_s, DOWN)
+        core.state["pitch_rad"] = 0.2
+        assert core.feed(0.3)[-1].pitch_sd_rad == FIRST_PITCH_SD_RAD
+
+
+def test_the_peak_of_landing_is_the_greatest_rate_either_way_between_contact_and_flat() -> None:
+    core = Core(Phase.SWING)
+    core.feed(0.02, UP)
+    enter_phase(core.core, int(Phase.LOADING_RESPONSE))
+    seen = [core.feed(0.01, (0.0, rate, 0.0))[-1].landing_peak_radps for rate in (1.0, -2.0, 0.5)]
+    assert seen == pytest.approx([1.0, 2.0, 2.0], rel=1e-3)
+    enter_phase(core.core, int(Phase.STANCE))
+    assert core.feed(0.01, DOWN)[-1].landing_peak_radps == pytest.approx(2.0, rel=1e-3)
+
+
+def test_rest_before_the_heel_rose_is_no_rest_after() -> None:
+    core = Core()
+    core.feed(0.5)
+    enter_phase(core.core, int(Phase.PRE_SWING))
+    assert core.feed(0.01)[-1].resting_s == pytest.approx(0.01)
 
 
 def test_peaks_are_those_since_pre_swing_and_since_swing() -> None:
@@ -642,12 +739,22 @@ def test_peaks_are_those_since_pre_swing_and_since_swing() -> None:
 
 # --- this person's measures follow -----------------------------------------------------------------------
 
-SHOWN = (7.0, 13.0, 1.5, 2800.0)
-MEASURES = ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3")
+SHOWN = (7.0, 13.0, 1.5, 0.6, 0.2, 2800.0)
 
 
 def measured(p: Thresholds) -> list[float]:
-    return [getattr(p, name) for name in MEASURES]
+    return [getattr(p, name) for name, _ in MEASURES]
+
+
+def calibrated_measures(calibration: FootCalibration) -> Thresholds:
+    """What the tracker begins with: the usual swing of a stride so long, for the calibration knows none."""
+    own = calibration.thresholds()
+    return own._replace(swing_s=min(0.4 * own.stride_s, 0.6))
+
+
+@pytest.mark.parametrize(("stride_s", "swing_s"), [(1.2, 0.48), (1.4, 0.56), (3.0, 0.6)])
+def test_before_a_swing_has_been_seen_its_time_is_the_usual_one(stride_s: float, swing_s: float) -> None:
+    assert Core(stride_s=stride_s).measures().swing_s == pytest.approx(swing_s)
 
 
 def test_each_stride_is_followed_by_an_eighth() -> None:
@@ -663,24 +770,24 @@ def test_each_stride_is_followed_by_an_eighth() -> None:
 def test_measures_stay_within_bounds_about_the_calibrated_ones(factor: float, bound: float) -> None:
     assert (LEAST, MOST) == (0.6, 1.6)
     core = Core()
-    calibrated = measured(core.calibration.thresholds())
+    first = calibrated_measures(core.calibration)
+    calibrated = measured(first)
     for _ in range(200):
-        now = core.measures()
-        stride_s = now.stride_s * (1.4 if factor > 1.0 else 0.7)
-        shown = (factor * calibrated[0], factor * calibrated[1], stride_s, factor * calibrated[3])
-        core.stride(*shown)
+        stride_s = core.measures().stride_s * (1.4 if factor > 1.0 else 0.7)
+        shown = dict(zip((name for name, _ in MEASURES), (factor * was for was in calibrated), strict=True))
+        core.stride(**{**shown, "stride_s": stride_s})
         for now_is, was in zip(measured(core.measures()), calibrated, strict=True):
             assert LEAST * was <= now_is <= MOST * was
     assert measured(core.measures()) == pytest.approx([bound * was for was in calibrated])
-    others = core.measures()._replace(**dict(zip(MEASURES, calibrated, strict=True)))
-    assert others == core.calibration.thresholds()
+    assert core.measures()._replace(**{name: getattr(first, name) for name, _ in MEASURES}) == first
 
 
 @pytest.mark.parametrize("share", [0.99 * USUAL[0], 1.01 * USUAL[1], 10.0, 0.01])
 def test_a_pause_or_a_double_contact_is_no_stride_time(share: float) -> None:
     core = Core()
-    before = core.stride(6.0, 10.0, 1.3, 2000.0).stride_s
-    assert core.stride(6.0, 10.0, share * before, 2000.0).stride_s == before
+    shown = (6.0, 10.0, 1.3, 0.5, 0.15, 2000.0)
+    before = core.stride(*shown).stride_s
+    assert core.stride(*shown[:2], share * before, *shown[3:]).stride_s == before
 
 
 def test_the_trackers_measures_follow_the_walk_and_keep_the_asked_rule() -> None:
@@ -706,4 +813,4 @@ def test_standing_in_noise_leaves_the_measures_alone() -> None:
         rng.normal(0.0, 0.1, (6000, 3)),
     )
     assert fed(tracker, still) == []
-    assert tracker.thresholds == calibration.thresholds()
+    assert tracker.thresholds == calibrated_measures(calibration)

@@ -22,12 +22,7 @@ from statemachine.machine import GaitPhaseMachine, GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE
 
-DEFAULTS = Thresholds()
-P = DEFAULTS._replace(  # a push-off that is more than half the fall, strides shorter than both bounds of their time
-    push_off_radps=8.0,
-    fall_radps=12.0,
-    stride_s=0.9 * min(DEFAULTS.longest_swing_stride_s, DEFAULTS.longest_loading_stride_s),
-)
+P = Thresholds(push_off_radps=8.0, fall_radps=12.0)  # a push-off that is more than half the fall
 FOOT = "left_foot"
 SIX = {
     (Phase.STANCE, Transition.T1): Phase.PRE_SWING,
@@ -41,30 +36,33 @@ NetworkGuard: TypeAlias = Callable[[Features, Thresholds], bool]
 GUARDS: dict[Transition, NetworkGuard] = {row.transition: row.guard for row in TABLE}
 
 # one set of features per guard under which it is true
-NOTHING = Features(*[0.0] * 10, travelling=False)._replace(pitch_rad=1.0)
+NOTHING = Features(*[0.0] * 13, travelling=False)._replace(pitch_rad=1.0)
 RATE, WEAK_RATE = P.push_off_radps, 0.5 * P.fall_radps
-STRIDE_S, SLOW_S = P.stride_s, 1.3 * max(P.longest_swing_stride_s, P.longest_loading_stride_s)
-SLOW_TO_LOAD_S = 1.3 * P.longest_loading_stride_s
+WEAK: dict[str, Any] = {"push_off_radps": 2.0}
 LEAST_PEAK, LEAST_FALL = P.push_off_share * P.push_off_radps, P.mid_swing_share * P.fall_radps
 LEFT = (1.0 - P.push_off_drop) * RATE  # the peak of a typical push-off is left below this rate
 TOE_UP, WEAK_TOE_UP = P.toe_up_share * RATE, P.toe_up_share * WEAK_RATE
+UP_RADPS = P.fall_radps - RATE
 SWUNG = P.swung_share * P.fall_radps
 JERK_MPS3 = P.jerk_share * P.contact_jerk_mps3
+RISE_AFTER_S, TOE_UP_AFTER_S = P.heel_rise_after * P.stride_s, P.toe_up_after * P.stride_s
+SWING_S, SOFT_S, PUT_BACK_S = (share * P.swing_s for share in (P.shortest_swing, P.soft_contact, P.put_back))
+LOADED_S = P.longest_loading * P.loading_s
+LANDED, WEAK_LANDED = P.landed_share * RATE, P.landed_share * WEAK_RATE
 HEEL_RISE = NOTHING._replace(
     toe_down_radps=2.0 * P.heel_rise_share * RATE,
     turned_rad=2.0 * P.heel_rise_rad,
-    since_contact_s=2.0 * P.heel_rise_after * STRIDE_S,
+    since_contact_s=2.0 * RISE_AFTER_S,
 )
 TOE_OFF = NOTHING._replace(toe_down_peak_radps=RATE, toe_down_radps=0.5 * RATE)
-UP_RADPS = P.fall_radps - RATE
 CONTACT = NOTHING._replace(
     toe_down_peak_radps=RATE,
     toe_up_peak_radps=UP_RADPS,
     contact_jerk_mps3=2.0 * JERK_MPS3,
-    in_swing_s=2.0 * P.shortest_swing * STRIDE_S,
+    in_swing_s=2.0 * SWING_S,
 )
-FLAT = NOTHING._replace(since_contact_s=1.1 * P.shortest_loading * STRIDE_S, resting_s=2.0 * P.flat_share * STRIDE_S)
-RESTING = NOTHING._replace(resting_s=2.0 * P.put_back * STRIDE_S)
+FLAT = NOTHING._replace(pitch_rad=0.0, since_contact_s=2.0 * P.shortest_loading_s)
+RESTING = NOTHING._replace(resting_s=2.0 * PUT_BACK_S)
 TRUE = {
     Transition.T1: HEEL_RISE,
     Transition.T2: TOE_OFF,
@@ -90,124 +88,90 @@ def above(x: float) -> float:
     return math.nextafter(x, math.inf)
 
 
-NO_PUSH_OFF = {"turned_rad": 0.0, "since_contact_s": 2.0 * P.toe_up_after * STRIDE_S}
-DRAGGED = {"toe_down_peak_radps": 0.0}
-CARRIED = {**DRAGGED, "travelling": True}
-SHUFFLED = {"toe_down_peak_radps": 0.0, "toe_down_radps": 0.01}  # hardly a fall
-SLOW = {"stride_s": SLOW_S}
-SILENT = {"contact_jerk_mps3": 0.0}
-STRUCK = {
-    **SILENT, "toe_down_radps": above(P.struck_share * RATE), "toe_down_change_radps2": above(P.struck_per_s * RATE)
-}  # fmt: skip
-SOFT_S, REST_S, FLAT_S = P.soft_contact * STRIDE_S, P.put_back * STRIDE_S, P.flat_share * STRIDE_S
-LONG = {"resting_s": 0.0, "stride_s": SLOW_TO_LOAD_S}
-LOADED_S = P.longest_loading * P.longest_loading_stride_s
+Case: TypeAlias = tuple[Transition, str, dict[str, Any], bool]  # what differs from what makes the guard true; expected
 
-# (transition, what the case is about, features that differ from those under which the guard is true, expected)
-CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
-    (Transition.T1, "the heel rises", {}, True),
-    (Transition.T1, "it turns too slowly", {"toe_down_radps": P.heel_rise_share * RATE}, False),
-    (Transition.T1, "it just turns fast enough", {"toe_down_radps": above(P.heel_rise_share * RATE)}, True),
-    (Transition.T1, "of a weak push-off, too slowly",
-     {"push_off_radps": 2.0, "toe_down_radps": P.heel_rise_share * WEAK_RATE}, False),
-    (Transition.T1, "of a weak push-off",
-     {"push_off_radps": 2.0, "toe_down_radps": above(P.heel_rise_share * WEAK_RATE)}, True),
-    (Transition.T1, "it has hardly turned", {"turned_rad": P.heel_rise_rad}, False),
-    (Transition.T1, "it has just turned enough", {"turned_rad": above(P.heel_rise_rad)}, True),
-    (Transition.T1, "too soon after contact", {"since_contact_s": P.heel_rise_after * STRIDE_S}, False),
-    (Transition.T1, "just late enough", {"since_contact_s": above(P.heel_rise_after * STRIDE_S)}, True),
-    (Transition.T1, "toe-up at the limit", {**NO_PUSH_OFF, "toe_down_radps": -TOE_UP}, False),
-    (Transition.T1, "a dragged foot", {**NO_PUSH_OFF, "toe_down_radps": -above(TOE_UP)}, True),
-    (Transition.T1, "of a weak push-off, toe-up at the limit",
-     {**NO_PUSH_OFF, "push_off_radps": 2.0, "toe_down_radps": -WEAK_TOE_UP}, False),
-    (Transition.T1, "of a weak push-off, a dragged foot",
-     {**NO_PUSH_OFF, "push_off_radps": 2.0, "toe_down_radps": -above(WEAK_TOE_UP)}, True),
-    (Transition.T1, "toe-up too soon after contact",
-     {"toe_down_radps": -above(TOE_UP), "since_contact_s": P.toe_up_after * STRIDE_S}, False),
-    (Transition.T1, "toe-up just late enough",
-     {"toe_down_radps": -above(TOE_UP), "since_contact_s": above(P.toe_up_after * STRIDE_S)}, True),
-    (Transition.T1, "as much toe-up as a swing's, at the limit",
-     {"toe_down_radps": -SWUNG, "since_contact_s": above(P.swung_after_s)}, False),
-    (Transition.T1, "a swing that stance does not know of",
-     {"toe_down_radps": -above(SWUNG), "since_contact_s": above(P.swung_after_s)}, True),
-    (Transition.T1, "a contact's rebound",
-     {"toe_down_radps": -above(SWUNG), "since_contact_s": P.swung_after_s}, False),
-    (Transition.T2, "the peak has passed", {}, True),
-    (Transition.T2, "the least push-off", {"toe_down_peak_radps": LEAST_PEAK, "toe_down_radps": 0.0}, True),
-    (Transition.T2, "less than a push-off", {"toe_down_peak_radps": below(LEAST_PEAK), "toe_down_radps": 0.0}, False),
-    (Transition.T2, "a ripple of the peak", {"toe_down_radps": LEFT}, False),
-    (Transition.T2, "the peak is just left", {"toe_down_radps": below(LEFT)}, True),
-    (Transition.T2, "not yet reversed, asked to be", {"swing_at_reversal": True}, False),
-    (Transition.T2, "at rest in between", {"swing_at_reversal": True, "toe_down_radps": 0.0}, False),
-    (Transition.T2, "reversed", {"swing_at_reversal": True, "toe_down_radps": below(0.0)}, True),
-    (Transition.T2, "toe-up at the limit", {**DRAGGED, "toe_down_radps": -TOE_UP}, False),
-    (Transition.T2, "a dragged foot", {**DRAGGED, "toe_down_radps": -above(TOE_UP)}, True),
-    (Transition.T2, "a dragged foot, asked to be reversed",
-     {**DRAGGED, "toe_down_radps": -above(TOE_UP), "swing_at_reversal": True}, True),
-    (Transition.T2, "of a weak push-off, toe-up at the limit",
-     {**DRAGGED, "push_off_radps": 2.0, "toe_down_radps": -WEAK_TOE_UP}, False),
-    (Transition.T2, "of a weak push-off, a dragged foot",
-     {**DRAGGED, "push_off_radps": 2.0, "toe_down_radps": -above(WEAK_TOE_UP)}, True),
-    (Transition.T2, "carried along, toe-up at the limit",
-     {**CARRIED, "toe_down_radps": -P.carried_share * RATE}, False),
-    (Transition.T2, "carried along", {**CARRIED, "toe_down_radps": -above(P.carried_share * RATE)}, True),
-    (Transition.T2, "of a weak push-off, carried along",
-     {**CARRIED, "push_off_radps": 2.0, "toe_down_radps": -above(P.carried_share * WEAK_RATE)}, True),
-    (Transition.T2, "a heel that is put back", {**DRAGGED, "toe_down_radps": -above(P.carried_share * RATE)}, False),
-    (Transition.T3, "a jump after mid-swing", {}, True),
-    (Transition.T3, "a jump at the limit", {"contact_jerk_mps3": JERK_MPS3}, False),
-    (Transition.T3, "a jump just above the limit", {"contact_jerk_mps3": above(JERK_MPS3)}, True),
-    (Transition.T3, "no jump", SILENT, False),
-    (Transition.T3, "the least duration of a swing", {"in_swing_s": P.shortest_swing * STRIDE_S}, True),
-    (Transition.T3, "the jolt of toe-off", {"in_swing_s": below(P.shortest_swing * STRIDE_S)}, False),
-    (Transition.T3, "the least of a slow walker's",
-     {**SLOW, "in_swing_s": P.shortest_swing * P.longest_swing_stride_s}, True),
-    (Transition.T3, "a slow walker's jolt of toe-off",
-     {**SLOW, "in_swing_s": below(P.shortest_swing * P.longest_swing_stride_s)}, False),
-    (Transition.T3, "the least fall", {"toe_down_peak_radps": LEAST_FALL, "toe_up_peak_radps": 0.0,
-                                       "toe_down_radps": 0.01}, True),
-    (Transition.T3, "no mid-swing yet", {"toe_down_peak_radps": below(LEAST_FALL), "toe_up_peak_radps": 0.0,
-                                         "toe_down_radps": 0.01}, False),
-    (Transition.T3, "a dragged foot's mid-swing", {**SHUFFLED, "toe_up_peak_radps": TOE_UP}, True),
-    (Transition.T3, "a dragged foot before that", {**SHUFFLED, "toe_up_peak_radps": below(TOE_UP)}, False),
-    (Transition.T3, "of a weak push-off, a dragged foot's mid-swing",
-     {**SHUFFLED, "push_off_radps": 2.0, "toe_up_peak_radps": WEAK_TOE_UP}, True),
-    (Transition.T3, "of a weak push-off, a dragged foot before that",
-     {**SHUFFLED, "push_off_radps": 2.0, "toe_up_peak_radps": below(WEAK_TOE_UP)}, False),
-    (Transition.T3, "still in mid-swing", {"toe_down_radps": -P.rising_share * UP_RADPS}, False),
-    (Transition.T3, "mid-swing is just over", {"toe_down_radps": above(-P.rising_share * UP_RADPS)}, True),
-    (Transition.T3, "landed", {**SILENT, "toe_down_radps": above(P.landed_share * RATE)}, True),
-    (Transition.T3, "not yet landed", {**SILENT, "toe_down_radps": P.landed_share * RATE}, False),
-    (Transition.T3, "struck", STRUCK, True),
-    (Transition.T3, "not yet turned back", {**STRUCK, "toe_down_radps": P.struck_share * RATE}, False),
-    (Transition.T3, "runs out above the ground", {**STRUCK, "toe_down_change_radps2": P.struck_per_s * RATE}, False),
-    (Transition.T3, "a soft contact", {**SILENT, "resting_s": above(SOFT_S)}, True),
-    (Transition.T3, "has just come to rest", {**SILENT, "resting_s": SOFT_S}, False),
-    (Transition.T3, "glides", {**SILENT, "resting_s": above(SOFT_S), "travelling": True}, False),
-    (Transition.T4, "the foot is flat", {}, True),
-    (Transition.T4, "too soon after contact", {"since_contact_s": P.shortest_loading * STRIDE_S}, False),
-    (Transition.T4, "just late enough", {"since_contact_s": above(P.shortest_loading * STRIDE_S)}, True),
-    (Transition.T4, "has just come to rest", {"resting_s": FLAT_S}, False),
-    (Transition.T4, "has rested long enough", {"resting_s": above(FLAT_S)}, True),
-    (Transition.T4, "moves, as it may", {"resting_s": 0.0, "since_contact_s": P.longest_loading * STRIDE_S}, False),
-    (Transition.T4, "lies flat", {"resting_s": 0.0, "pitch_rad": below(P.flat_rad)}, True),
-    (Transition.T4, "toe-up at the limit", {"resting_s": 0.0, "pitch_rad": P.flat_rad}, False),
-    (Transition.T4, "toe-down, flat", {"resting_s": 0.0, "pitch_rad": above(-P.flat_rad)}, True),
-    (Transition.T4, "toe-down at the limit", {"resting_s": 0.0, "pitch_rad": -P.flat_rad}, False),
-    (Transition.T4, "moves for too long",
-     {"resting_s": 0.0, "since_contact_s": above(P.longest_loading * STRIDE_S)}, True),
-    (Transition.T4, "a slow walker's moves, as it may", {**LONG, "since_contact_s": LOADED_S}, False),
-    (Transition.T4, "a slow walker's moves for too long", {**LONG, "since_contact_s": above(LOADED_S)}, True),
-    *(
-        case
-        for transition in (Transition.T5, Transition.T6)
-        for case in (
-            (transition, "at rest for long", {}, True),
-            (transition, "has just come to rest", {"resting_s": REST_S}, False),
-            (transition, "has rested long enough", {"resting_s": above(REST_S)}, True),
-            (transition, "travels", {"travelling": True}, False),
-        )
-    ),
+
+def edge(transition: Transition, about: str, name: str, holds: float, fails: float, **others: Any) -> list[Case]:
+    """A limit from both sides: with ``holds`` the guard is just true, with ``fails`` it just is not."""
+    return [
+        (transition, about, {**others, name: holds}, True),
+        (transition, f"not {about}", {**others, name: fails}, False),
+    ]
+
+
+def beyond(transition: Transition, about: str, name: str, limit: float, **others: Any) -> list[Case]:
+    """True beyond the limit, away from zero, and not at it."""
+    return edge(transition, about, name, math.nextafter(limit, math.copysign(math.inf, limit)), limit, **others)
+
+
+T1, T2, T3, T4, T5, T6 = GUARDS
+UNTURNED: dict[str, Any] = {"turned_rad": 0.0, "since_contact_s": 2.0 * TOE_UP_AFTER_S}
+DRAGGED: dict[str, Any] = {"toe_down_peak_radps": 0.0}
+CARRIED: dict[str, Any] = {**DRAGGED, "travelling": True}
+SHUFFLED: dict[str, Any] = {**DRAGGED, "toe_down_radps": 0.01}  # hardly a fall
+SILENT: dict[str, Any] = {"contact_jerk_mps3": 0.0}
+CALM: dict[str, Any] = {**SILENT, "resting_s": SOFT_S, "calm_s": 2.0 * P.soft_contact_s}
+TILTED: dict[str, Any] = {"pitch_rad": 1.0}
+PEAK = 2.0 * LANDED
+PLATEAU: dict[str, Any] = {"pitch_rad": 2.0 * P.flat_rad, "pitch_sd_rad": P.flat_rad, "landing_peak_radps": PEAK}
+OFF_RAD = P.near_sds * P.flat_rad
+TURNING = 0.5 * P.flat_rad / P.settling_s  # so fast that half the limit of the pitch is left
+
+CASES: list[Case] = [
+    *((transition, "all of it", {}, True) for transition in GUARDS),
+    *beyond(T1, "fast enough", "toe_down_radps", P.heel_rise_share * RATE),
+    *beyond(T1, "fast enough for a weak push-off", "toe_down_radps", P.heel_rise_share * WEAK_RATE, **WEAK),
+    *beyond(T1, "turned enough since it stood still", "turned_rad", P.heel_rise_rad),
+    *beyond(T1, "late enough after contact", "since_contact_s", RISE_AFTER_S),
+    *beyond(T1, "dragged off", "toe_down_radps", -TOE_UP, **UNTURNED),
+    *beyond(T1, "dragged off after a weak push-off", "toe_down_radps", -WEAK_TOE_UP, **UNTURNED, **WEAK),
+    *beyond(T1, "dragged off late enough", "since_contact_s", TOE_UP_AFTER_S, toe_down_radps=-above(TOE_UP)),
+    *beyond(T1, "a swing that stance missed", "toe_down_radps", -SWUNG, since_contact_s=above(P.swung_after_s)),
+    *beyond(T1, "later than a rebound", "since_contact_s", P.swung_after_s, toe_down_radps=-above(SWUNG)),
+    *edge(T2, "a push-off", "toe_down_peak_radps", LEAST_PEAK, below(LEAST_PEAK), toe_down_radps=0.0),
+    *edge(T2, "more than a ripple", "toe_down_radps", below(LEFT), LEFT),
+    *edge(T2, "reversed, as asked", "toe_down_radps", below(0.0), 0.0, swing_at_reversal=True),
+    *beyond(T2, "dragged off", "toe_down_radps", -TOE_UP, **DRAGGED),
+    *beyond(T2, "dragged off, asked to be reversed", "toe_down_radps", -TOE_UP, **DRAGGED, swing_at_reversal=True),
+    *beyond(T2, "dragged off after a weak push-off", "toe_down_radps", -WEAK_TOE_UP, **DRAGGED, **WEAK),
+    *beyond(T2, "carried along", "toe_down_radps", -P.carried_share * RATE, **CARRIED),
+    *beyond(T2, "carried after a weak push-off", "toe_down_radps", -P.carried_share * WEAK_RATE, **CARRIED, **WEAK),
+    (T2, "a heel that is put back", {**DRAGGED, "toe_down_radps": -above(P.carried_share * RATE)}, False),
+    *beyond(T3, "a jump", "contact_jerk_mps3", JERK_MPS3),
+    *edge(T3, "later than the jolt of foot off", "in_swing_s", SWING_S, below(SWING_S)),
+    (T3, "as soon in a slow stride", {"in_swing_s": SWING_S, "stride_s": 3.0 * P.stride_s}, True),
+    (T3, "a slow swing's jolt of foot off", {"in_swing_s": SWING_S, "swing_s": 1.01 * P.swing_s}, False),
+    *edge(T3, "the least fall", "toe_down_peak_radps", LEAST_FALL, below(LEAST_FALL), toe_up_peak_radps=0.0,
+          toe_down_radps=0.01),
+    *edge(T3, "mid-swing of a dragged foot", "toe_up_peak_radps", TOE_UP, below(TOE_UP), **SHUFFLED),
+    *edge(T3, "the same after a weak push-off", "toe_up_peak_radps", WEAK_TOE_UP, below(WEAK_TOE_UP), **SHUFFLED,
+          **WEAK),
+    *edge(T3, "after mid-swing", "toe_down_radps", above(-P.rising_share * UP_RADPS), -P.rising_share * UP_RADPS),
+    *beyond(T3, "landed", "toe_down_radps", LANDED, **SILENT),
+    *beyond(T3, "landed after a weak push-off", "toe_down_radps", WEAK_LANDED, **SILENT, **WEAK),
+    *beyond(T3, "at rest", "resting_s", SOFT_S, **SILENT),
+    *beyond(T3, "at rest with gravity alone", "resting_s", P.soft_contact_s, **SILENT, calm_s=SOFT_S),
+    *beyond(T3, "gravity alone", "calm_s", P.soft_contact_s, **SILENT, resting_s=SOFT_S),
+    (T3, "glides", {**SILENT, "resting_s": 2.0 * SOFT_S, "travelling": True}, False),
+    (T3, "glides without a force", {**CALM, "travelling": True}, False),
+    *beyond(T4, "later than the jolt of contact", "since_contact_s", P.shortest_loading_s),
+    *edge(T4, "flat from toe-up", "pitch_rad", below(P.flat_rad), P.flat_rad),
+    *edge(T4, "flat from toe-down", "pitch_rad", above(-P.flat_rad), -P.flat_rad),
+    *(case for rate in (TURNING, -TURNING) for case in edge(
+        T4, f"flat soon, at {rate:+.2f} rad/s", "pitch_rad", 0.49 * P.flat_rad, 0.51 * P.flat_rad, toe_down_radps=rate)),
+    *beyond(T4, "turned when it landed", "landing_peak_radps", LANDED, **{**PLATEAU, "toe_down_radps": 0.0}),
+    *beyond(T4, "the same after a weak push-off", "landing_peak_radps", WEAK_LANDED, **PLATEAU, **WEAK),
+    *edge(T4, "hardly toe-down any more", "toe_down_radps", below(P.settled_share * PEAK), P.settled_share * PEAK,
+          **PLATEAU),
+    *edge(T4, "hardly toe-up any more", "toe_down_radps", above(-P.settled_share * PEAK), -P.settled_share * PEAK,
+          **PLATEAU),
+    *edge(T4, "near enough from toe-up", "pitch_rad", below(OFF_RAD), OFF_RAD, **PLATEAU),
+    *edge(T4, "near enough from toe-down", "pitch_rad", above(-OFF_RAD), -OFF_RAD, **PLATEAU),
+    *beyond(T4, "stands still", "settled_s", P.settled_after_s, **TILTED),
+    *beyond(T4, "loading for too long", "since_contact_s", LOADED_S, **TILTED),
+    *(case for transition in (T5, T6) for case in (
+        *beyond(transition, "at rest for long", "resting_s", PUT_BACK_S), (transition, "travels", {"travelling": True},
+                                                                          False))),
 ]  # fmt: skip
 
 
@@ -388,28 +352,30 @@ def test_toe_off_goes_before_a_heel_put_back() -> None:
 
 
 def _grid() -> list[tuple[Any, ...]]:
-    """All combinations of values at and just beyond every limit."""
+    """All combinations of values at and just beyond the limits."""
 
     def beside(*limits: float) -> list[float]:
         return [f(limit) for limit in limits for f in (float, above)]
 
     rows: list[tuple[Any, ...]] = []
-    for peak in (below(LEAST_PEAK), LEAST_PEAK, RATE):
-        for up in (below(TOE_UP), TOE_UP, UP_RADPS):
-            rates = (P.heel_rise_share * RATE, below(-TOE_UP), P.landed_share * RATE)
-            rows += itertools.product(
-                beside(*rates, P.struck_share * RATE, (1.0 - P.push_off_drop) * peak, below(0.0), -P.rising_share * up),
-                beside(P.struck_per_s * RATE),
-                (peak,),
-                (up,),
-                beside(P.heel_rise_rad),
-                beside(below(-P.flat_rad), below(P.flat_rad)),
-                beside(JERK_MPS3),
-                beside(below(P.shortest_swing * STRIDE_S)),
-                beside(*(s * STRIDE_S for s in (P.shortest_loading, P.longest_loading, P.heel_rise_after))),
-                beside(*(s * STRIDE_S for s in (P.flat_share, P.soft_contact, P.put_back))),
-                (False, True),
-            )
+    for peak, up in itertools.product((below(LEAST_PEAK), LEAST_PEAK, RATE), (below(TOE_UP), UP_RADPS)):
+        rates = (P.heel_rise_share * RATE, below(-TOE_UP), LANDED, below(P.settled_share * above(LANDED)), below(0.0))
+        rows += itertools.product(
+            beside(*rates, (1.0 - P.push_off_drop) * peak, -P.rising_share * up),
+            (peak,),
+            (up,),
+            beside(LANDED),
+            beside(P.heel_rise_rad),
+            (0.0, below(-OFF_RAD), above(-OFF_RAD)),
+            (P.flat_rad,),
+            beside(JERK_MPS3),
+            beside(below(SWING_S)),
+            (P.shortest_loading_s, *map(above, (P.shortest_loading_s, RISE_AFTER_S, LOADED_S))),
+            (P.soft_contact_s, *map(above, (P.soft_contact_s, SOFT_S, PUT_BACK_S))),
+            beside(P.settled_after_s),
+            beside(P.soft_contact_s),
+            (False, True),
+        )
     return rows
 
 
@@ -420,7 +386,9 @@ GRID = _grid()
 def _fired(values: np.ndarray, p: Thresholds, out: np.ndarray) -> None:
     for i in range(values.shape[0]):
         v = values[i]
-        x = Features(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0)
+        x = Features(
+            v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13] != 0.0
+        )  # fmt: skip
         for phase in range(4):
             out[i, phase] = kernel.first_transition(phase, x, p)
 
@@ -439,7 +407,10 @@ def test_compiled_guards_are_the_table_on_an_exhaustive_grid() -> None:
 
 # --- the page that is written from the table -------------------------------------------------------------
 
-MEASURES = ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3")  # no limits by themselves
+MEASURES = (  # no limits by themselves
+    "push_off_radps", "fall_radps", "stride_s", "swing_s", "loading_s", "contact_jerk_mps3"
+)  # fmt: skip
+MULTIPLES = ("near_sds", "longest_loading")  # which may be more than one
 PHASES_MD = Path(__file__).resolve().parents[2] / "docs" / "phases.md"
 
 
@@ -461,13 +432,13 @@ def test_every_threshold_is_described_with_its_unit() -> None:
         name, value, unit, used, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
         default = Thresholds._field_defaults[name.strip("`")]
         assert ({"no": False, "yes": True}[value] if isinstance(default, bool) else float(value)) == default
-        assert unit in {*diagram.UNITS.values(), "1/s", "–"}
+        assert unit in {*diagram.UNITS.values(), "–"}
         assert used.startswith("T") or name.strip("`") in MEASURES
         assert len(meaning) > 10
     for name, value in Thresholds._field_defaults.items():  # a physical quantity shows its unit, a share has none
         quantity = name.endswith(("_radps", "_rad", "_s", "_mps3"))
         assert (diagram.unit(name) != "–") is quantity, name
-        assert quantity or isinstance(value, bool) or 0.0 < value < 1.0
+        assert quantity or isinstance(value, bool) or 0.0 < value < (10.0 if name in MULTIPLES else 1.0)
 
 
 def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
