@@ -47,20 +47,20 @@ from statemachine.guards import Thresholds
 # the middle one is where choosing starts
 GUARDS: dict[str, tuple[float, ...]] = {
     "rest_share": (0.12, 0.15, 0.18, 0.22),
-    "heel_rise_share": (0.16, 0.22, 0.3),
+    "heel_rise_share": (0.08, 0.12, 0.18),
+    "heel_rise_rad": (0.03, 0.04, 0.055),
     "toe_up_share": (0.22, 0.26, 0.3, 0.36),
     "push_off_share": (0.3, 0.4, 0.5),
-    "shortest_swing": (0.2, 0.22, 0.25, 0.28),
-    "rising_share": (0.2, 0.25, 0.3),
-    "struck_per_s": (4.0, 8.0, 12.0),
-    "soft_contact": (0.06, 0.08, 0.1, 0.13),
+    "shortest_swing": (0.5, 0.6, 0.7),
+    "rising_share": (0.3, 0.4, 0.5),
+    "soft_contact": (0.2, 0.3, 0.4),
     "jerk_share": (0.15, 0.2, 0.3, 0.4),
     "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
-    "longest_loading": (0.06, 0.08, 0.1, 0.13),
+    "settled_share": (0.25, 0.35, 0.45),
+    "longest_loading": (1.5, 2.0, 2.5),
     "heel_rise_after": (0.25, 0.26, 0.27),
     "swung_share": (0.4, 0.45, 0.5),
     "swung_after_s": (0.2, 0.25, 0.3),
-    "push_off_again": (0.1, 0.15, 0.2),
 }
 CALIBRATION: dict[str, tuple[float, ...]] = {
     "FALL_SHARE": (0.35, 0.45, 0.55),

@@ -675,6 +675,7 @@ def test_it_has_settled_since_contact_at_the_earliest() -> None:
     assert core.feed(0.03)[-1].settled_s == pytest.approx(0.03)
     enter_phase(core.core, int(Phase.STANCE))
     assert core.feed(0.01)[-1].settled_s == pytest.approx(0.04)
+    assert core.feed(0.01, DOWN)[-1].settled_s == 0.0
 
 
 def test_it_is_calm_while_nothing_but_gravity_is_upon_it() -> None:
@@ -702,7 +703,8 @@ def test_how_far_from_flat_it_stands_still_after_a_landing_is_followed() -> None
 
 def test_standing_still_long_after_contact_or_in_swing_tells_nothing_of_the_landing() -> None:
     for phase, moved_s in ((Phase.LOADING_RESPONSE, LANDED_S), (Phase.SWING, 0.1)):
-        core = Core(phase)
+        core = Core(Phase.LOADING_RESPONSE)
+        enter_phase(core.core, int(phase))
         core.feed(moved_s, DOWN)
         core.state["pitch_rad"] = 0.2
         assert core.feed(0.3)[-1].pitch_sd_rad == FIRST_PITCH_SD_RAD
@@ -716,6 +718,8 @@ def test_the_peak_of_landing_is_the_greatest_rate_either_way_between_contact_and
     assert seen == pytest.approx([1.0, 2.0, 2.0], rel=1e-3)
     enter_phase(core.core, int(Phase.STANCE))
     assert core.feed(0.01, DOWN)[-1].landing_peak_radps == pytest.approx(2.0, rel=1e-3)
+    enter_phase(core.core, int(Phase.LOADING_RESPONSE))
+    assert core.feed(0.01)[-1].landing_peak_radps == pytest.approx(0.0, abs=1e-3)
 
 
 def test_rest_before_the_heel_rose_is_no_rest_after() -> None:
