@@ -10,8 +10,8 @@ foot's sensor is worn, with this foot's calibration; the foot comes to shuffle. 
 ``fes/analysis/swings.py``; of a shuffle each scrape) that begin after the plant and before the naming.
 
 A shuffle is made after what a severe foot of a stroke survivor showed: the foot stands 0.6–1.5 s, then is scraped along
-the floor for 2–4 s, in slips of 2–12 cm and 0.15–0.35 s with rests of 0.05–0.5 s between them, turning about all three
-axes at 50–130 °/s at most. *Shuffle*: with the measures that such a foot's calibration has. *Shuffle after a walk*: by
+the floor for 2–4 s (*short shuffle*: 1–3 s), in slips of 2–12 cm and 0.15–0.35 s with rests of 0.05–0.5 s between
+them, turning about all three axes at 50–130 °/s at most. *Shuffle*: with the measures that such a foot's calibration has. *Shuffle after a walk*: by
 the calibration of this foot's own walk, which comes first for 20 s; mostly the machine finds no swing in it then.
 
 Beside the strides: how many bursts may begin in the strides after the fifth, with this judge and without it.
@@ -56,8 +56,10 @@ SHARE = 0.95
 LEAST_STRIDES = 12  # of a walk, to be planted in; twice as many where that is in its middle
 SEED = 36
 WALK_S, SHUFFLE_S = 60.0, 60.0
+SCRAPE_S, SHORT_SCRAPE_S = (2.0, 4.0), (1.0, 3.0)
 BEFORE_S = 20.0
 CURRENT_MA, INTENDED = 25.0, "stimulated"
+PLANTED = "wrong sign", "shuffle", "short shuffle"  # what is to be named
 REMEMBERED = 5
 
 
@@ -97,7 +99,7 @@ class Watched:
         strides_ns = strides_ns[strides_ns >= begin_ns]
         later = int(np.count_nonzero(strides_ns <= after[0][0])) if after else -1
         late_ns = strides_ns[WITHIN] if len(strides_ns) > WITHIN else np.iinfo(np.int64).max
-        bursts = [sum(t_ns > late_ns for t_ns in each) for each in (self.bursts_ns, self.unwatched_ns)]
+        bursts = [sum(t_ns > int(late_ns) for t_ns in each) for each in (self.bursts_ns, self.unwatched_ns)]
         words = [text for _, text in after[:1]]
         count = len(strides_ns), len(after), later
         return Result(group, case, who, *count, bursts=bursts[0], unwatched=bursts[1], words=words)
@@ -154,7 +156,9 @@ def of_a_shuffle(calibration: FootCalibration) -> FootCalibration:
     return replace(calibration, push_off_radps=1.2, fall_radps=2.4, stride_s=2.5, contact_jerk_mps3=500.0)
 
 
-def shuffled(track: Track, calibration: FootCalibration, seed: int) -> tuple[Track, IntArray, int]:
+def shuffled(
+    track: Track, calibration: FootCalibration, seed: int, scrape_s: tuple[float, float]
+) -> tuple[Track, IntArray, int]:
     """The foot's own walk and then a shuffle; the middle of each scrape, and when the shuffle begins."""
     rng = np.random.default_rng((SEED, seed))
     up, left = np.array(calibration.up), np.array(calibration.toe_down)
@@ -165,7 +169,7 @@ def shuffled(track: Track, calibration: FootCalibration, seed: int) -> tuple[Tra
     scrapes, at = [], 0
     while at < n:
         at += round(rate_hz * rng.uniform(0.6, 1.5))
-        begin, end = at, at + round(rate_hz * rng.uniform(2.0, 4.0))
+        begin, end = at, at + round(rate_hz * rng.uniform(*scrape_s))
         while at < min(end, n):
             rows = slice(at, at + round(rate_hz * rng.uniform(0.15, 0.35)))
             went, turn = minimum_jerk(rows.stop - rows.start)
@@ -223,10 +227,12 @@ def real(feet: Iterable[Foot]) -> Iterator[Result]:
 
 
 def shuffles(track: Track, calibration: FootCalibration, seed: int, group: str, who: str) -> Iterator[Result]:
-    both, scrapes_ns, begin_ns = shuffled(track, calibration, seed)
-    yield watched(both, calibration).planted(group, "shuffle after a walk", who, scrapes_ns, begin_ns)
-    alone = both.part(slice(int(np.searchsorted(both.t_ns, begin_ns)), None))
-    yield watched(alone, of_a_shuffle(calibration)).planted(group, "shuffle", who, scrapes_ns)
+    for case, scrape_s in (("shuffle", SCRAPE_S), ("short shuffle", SHORT_SCRAPE_S)):
+        both, scrapes_ns, begin_ns = shuffled(track, calibration, seed, scrape_s)
+        alone = both.part(slice(int(np.searchsorted(both.t_ns, begin_ns)), None))
+        yield watched(alone, of_a_shuffle(calibration)).planted(group, case, who, scrapes_ns)
+        if case == "shuffle":
+            yield watched(both, calibration).planted(group, "shuffle after a walk", who, scrapes_ns, begin_ns)
 
 
 # --- virtual patients -------------------------------------------------------------------------------------------------
@@ -375,7 +381,7 @@ def main() -> int:
     if "stroke_treadmill" in options.only:
         console.print(fallback(feet_of(options.data, ["stroke_treadmill"])))
     save([asdict(one) for one in results], options.json)
-    told = [0 <= one.later <= WITHIN for one in results if one.case in ("wrong sign", "shuffle")]
+    told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
     return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt), several=True)
 

@@ -267,12 +267,12 @@ def _named_in_passing(bench: CampaignBench, scenario: Scenario, n: int) -> Attem
     bench.prepare(scenario.variant)
     notice: list[str] = []
 
-    def told() -> bool:
+    def named() -> bool:
         status = bench.status()
         notice.extend(each for each in (status.notices if status else ()) if not reason_faults(each, scenario))
         return bool(notice)
 
-    bench.observe(NAMED_S, told)
+    bench.observe(NAMED_S, named)
     t_ns = time.monotonic_ns()
     bench.observe(scenario.watch_s)
     faults = [] if notice else [f"not named within {NAMED_S:g} s"]
