@@ -23,10 +23,12 @@ from fes.signals import (
     StrideResult,
     Tick,
 )
+from fes.stimulation.order import NOTED
 from fes.stimulation.plan import BY_HAND_NS, StimulationPlan
 from fes.stimulation.tuning.report import TuningReport
 from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
 from fes.stimulation.walking import SwitchFallback, WalkingJudge
+from fes.walk_record import Note
 from statemachine.phases import Phase, PhaseChange
 
 CURRENT_STEP_MA = 0.5  # of most stimulators
@@ -35,11 +37,12 @@ STEEPEST = 0.01 * STEEPEST_PERCENT
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What came of one event: ``requests`` to put before the gate now, ``outcomes`` and ``reports`` to record."""
+    """What came of one event: ``requests`` to put before the gate now; the rest is to be recorded."""
 
     requests: tuple[StimRequest, ...] = ()
     outcomes: tuple[Outcome, ...] = ()
     reports: tuple[TuningReport, ...] = ()
+    notes: tuple[Note, ...] = ()
 
 
 NOTHING = Decision()
@@ -71,6 +74,7 @@ class Controller:
         self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma)
         self.tuning = Tuners(session)
         self._reports: list[TuningReport] = []
+        self._notes: list[Note] = []
         self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
         self._next_command_ns: int | None = None
         self._on = False
@@ -86,6 +90,13 @@ class Controller:
     def judge(self, foot: str) -> WalkingJudge:
         """Who says whether this foot walks."""
         return self._judges[foot]
+
+    def in_disorder(self) -> list[str]:
+        """Of each foot whose cycle is not seen now, that and why."""
+        return [self._order(foot) for foot, judge in self._judges.items() if not judge.order.in_order]
+
+    def _order(self, foot: str) -> str:
+        return f"{foot.replace('_', ' ')} {self._judges[foot].order.describe()}"
 
     def walking(self, foot: str) -> bool:
         """Whether this foot is judged to be walking, so that a step may start a burst."""
@@ -112,9 +123,9 @@ class Controller:
                 self._plan.on_phase(change, permitted=True)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, self._on and isinstance(event, Tick))
-        if self._reports:
-            reports, self._reports = tuple(self._reports), []
-            return Decision(requests, outcomes, reports)
+        if self._reports or self._notes:
+            reports, notes, self._reports, self._notes = tuple(self._reports), tuple(self._notes), [], []
+            return Decision(requests, outcomes, reports, notes)
         return Decision(requests, outcomes) if requests or outcomes else NOTHING
 
     def _follow(self, foot: str, sample: ImuSample, outcomes: list[Outcome]) -> None:
@@ -127,7 +138,10 @@ class Controller:
                 if reports or self.tuning.tuners:
                     self._tune(reports)
             else:
-                permitted = judge.on_phase(outcome)
+                was_in_order, permitted = judge.order.in_order, judge.on_phase(outcome)
+                if judge.order.in_order is not was_in_order:
+                    severity = "warning" if was_in_order else "info"
+                    self._notes.append(Note(sample.t_ns, severity, NOTED, self._order(foot)))
                 fallback = self._fallbacks.get(foot)
                 if fallback is not None and not fallback.follows_sensor(outcome):
                     continue

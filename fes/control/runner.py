@@ -199,6 +199,8 @@ class Runner:
         for report in decision.reports:
             text = f"channel {report.channel}: {report.text}"
             self.log.note(Note(event.t_ns, report.severity, "tuning", text))
+        for note in decision.notes:
+            self.log.note(note)
         if len(self.gate.flagged) > len(self._flagged):
             for sensor in sorted(self.gate.flagged.keys() - self._flagged):  # the first fault; the gate counts the rest
                 self._flagged.add(sensor)

@@ -60,6 +60,7 @@ ORPHANS_S: Final = 3.0
 BEFORE_NS: Final = NS_PER_S // 5  # a moment of the machine's that began so long before the fault still counts
 AGAIN_S: Final = 12.0
 DISARM_S: Final = 0.3
+NAMED_S: Final = 15.0  # five strides, with the stand after every four
 ARM_TRIED_S: Final = 8.0  # they come to a stand, and rest for a second
 FRAMES_LOST_SHARE: Final = 0.02  # a bus over UDP may lose some on the way
 CHECKED_SHARE: Final = 1 / 256  # of random frames have the right CRC (docs/can.md) and are looked at at all
@@ -260,6 +261,28 @@ def _no_burst_begins(bench: CampaignBench, scenario: Scenario, n: int) -> Attemp
     return Attempt(named=named or refusal, faults=tuple(faults), notice="no burst began, arming refused")
 
 
+def _named_in_passing(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """The patient walks, and within some strides a notice says what is wrong; from then on no burst begins."""
+    begin_ns = time.monotonic_ns()
+    bench.prepare(scenario.variant)
+    notice: list[str] = []
+
+    def named() -> bool:
+        status = bench.status()
+        notice.extend(each for each in (status.notices if status else ()) if not reason_faults(each, scenario))
+        return bool(notice)
+
+    bench.observe(NAMED_S, named)
+    t_ns = time.monotonic_ns()
+    bench.observe(scenario.watch_s)
+    faults = [] if notice else [f"not named within {NAMED_S:g} s"]
+    faults += ["a burst began"] if began_after(bench.outputs(t_ns), t_ns) else []
+    stated = stated_reason(bench)
+    if stated and bench.was_away(stated, begin_ns, time.monotonic_ns()):
+        return Attempt(named=stated, away=True)
+    return Attempt(named=stated or notice[0] if notice else "", faults=tuple(faults), notice="named, no burst after it")
+
+
 def _nothing_executed(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
     """What others send is refused by the stimulator, and it does nothing that the session did not ask for."""
     inject, heal = INJECTIONS[scenario.injected]
@@ -370,6 +393,7 @@ _JUDGES: Final[dict[Effect, Callable[[CampaignBench, Scenario, int], Attempt]]] 
     Effect.NONE: _no_effect,
     Effect.HARMLESS: _no_effect,
     Effect.SILENT: _no_burst_begins,
+    Effect.UNSEEN: _named_in_passing,
     Effect.NOT_EXECUTED: _nothing_executed,
     Effect.BOUNDED: _burst_without_end,
     Effect.DOSED: _charge_without_end,

@@ -12,6 +12,7 @@ from fes.hil.controller import Child, ControllerProcess, uninterrupted
 from fes.hil.devices import Devices, Hardware
 from fes.hil.results import MS, Output, Outputs, output_at, overlap_ms
 from fes.hil.scenarios import Needs, Scenario
+from fes.hil.settings import reversed_axis
 from fes.live.status import Status
 from fes.signals import NS_PER_S
 
@@ -95,9 +96,11 @@ class CampaignBench:
         self.runs, self.variant = self.runs + 1, variant
         settings = self.equipment.session_file(self.runs, variant)
         folder = self.equipment.folder / f"run{self.runs}"
-        seen = variant == "seen"
+        seen, calibration = variant == "seen", self.equipment.calibration
+        if variant == "reversed":
+            calibration = reversed_axis(calibration, self.equipment.folder)
         with uninterrupted():
-            self.controller = ControllerProcess(settings, self.equipment.calibration, folder, view=seen, page=seen)
+            self.controller = ControllerProcess(settings, calibration, folder, view=seen, page=seen)
         self.stand(True)  # so that the patient is at rest when the session is ready
         if variant == "button":
             self.devices.stop_button()

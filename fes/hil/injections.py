@@ -299,6 +299,7 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_inf": (_sensor("inf", MANY), _clear),
     "imu_saturated": (_sensor("full"), _clear),
     "imu_remounted": (_sensor("axes"), _clear),
+    "axis_reversed": (_at_once(_nothing), _nothing),
     "imu_remounted_in_swing": (_sensor("axes"), _clear),
     "imu_unit_deg": (_sensor("unit", 57.2958), _clear),
     "imu_unit_g": (_sensor("unit", 1 / 9.80665), _clear),

@@ -13,6 +13,7 @@ class Effect(StrEnum):
     NONE = "no effect"
     HARMLESS = "no effect, or off until armed by hand"
     SILENT = "no burst begins any more"
+    UNSEEN = "named in passing, no burst begins any more"
     NOT_EXECUTED = "nothing executed"
     BOUNDED = "the burst ends by itself"
     DOSED = "the charge of a minute ends it"
@@ -153,6 +154,8 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
     Scenario("imu_remounted", "sensor remounted, axes exchanged: while standing, armed", None, "remounted|calibration",
              response="no burst begins; arming refused, with the reason", effect=Effect.SILENT, watch_s=3.0),
+    Scenario("axis_reversed", "calibration with its axis reversed", None, "in disorder", variant="reversed",
+             response="named within five strides; from then on no burst begins", effect=Effect.UNSEEN, watch_s=5.0),
     Scenario("imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100,
              "remounted|calibration|unit|frozen"),
     _harmless("stamp_doubled_once", "one time stamp doubled", "counted, no effect"),

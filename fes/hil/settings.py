@@ -5,15 +5,17 @@ In a campaign a simulated patient stands, walks a few strides, stands again, for
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, save
+from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, load, save
 from fes.config import Bus, StimulatorDevice
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.sensor_choice import Calibration
 from fes.recording import write_recording
 from fes.recording.write import toml_text
 from fes.signals import G_MPS2, NS_PER_S, BoolArray
@@ -169,7 +171,8 @@ def session_text(
     """A session for one foot: the ``worn_by``'s, without whom the simulated patient's.
 
     Variants: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with little
-    charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "".
+    charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "", and ``reversed``, whose calibration
+    is :func:`reversed_axis`.
     """
     start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
     text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
@@ -178,6 +181,19 @@ def session_text(
     text += _CHANNEL.format(foot=foot, start=start, stop=stop, dose_mc=DOSE_MC if variant == "dose" else 50.0)
     text += _sensor_text(foot, sensor_port, rate_hz, acc_mps2, gyr_radps) + _stimulator_text(stimulator, bus)
     return text + (_BUTTON if variant == "button" else "")
+
+
+def reversed_axis(calibration: Path, folder: Path) -> Path:
+    """Write the same calibration with every mediolateral axis reversed, and return where."""
+    stored = load(calibration)
+    found: dict[str, Calibration] = {}
+    for sensor, each in stored.calibrations.items():
+        axis = "toe_down" if isinstance(each, FootCalibration) else "left"
+        x, y, z = getattr(each, axis)
+        found[sensor] = replace(each, **{axis: (-x, -y, -z)})
+    target = folder / "reversed.calibration.json"
+    save(SensorCalibrations(found, sides=stored.sides), target)
+    return target
 
 
 def _sensor_text(sensor: str, port: str, rate_hz: float, acc_mps2: float | None, gyr_radps: float | None = None) -> str:

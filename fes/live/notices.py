@@ -1,6 +1,6 @@
 """What a session's status says beside the signals: notices, the tuning, the charge. No clock, no I/O."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -19,15 +19,16 @@ SHOWN_NS: Final = 5 * NS_PER_S  # after the newest faulty sample; the log has th
 class Notices:
     """What a person should know though nothing is latched: shown with every status, logged when it begins.
 
-    Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet.
-    A line goes when what it tells of is over. ``lasting``: what else holds until the session ends.
+    Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet, feet
+    ``in_disorder``. A line goes when what it tells of is over. ``lasting``: what else holds until the session ends.
     """
 
-    def __init__(self, gate: SafetyGate, electrodes: Electrodes) -> None:
+    def __init__(self, gate: SafetyGate, electrodes: Electrodes, in_disorder: Callable[[], list[str]]) -> None:
         self.electrodes = electrodes
         self.streams: Sequence[SensorStream] = ()
         self.lasting: list[str] = []
         self._gate = gate
+        self._in_disorder = in_disorder
         self._losses: dict[SensorStream, int] = {}
 
     def now(self, t_ns: int) -> list[str]:
@@ -38,7 +39,7 @@ class Notices:
             if t_ns - flag.t_ns < SHOWN_NS
         ]
         lost = (stream.why_lost for stream in self.streams)
-        return list(filter(None, (*flags, *lost, self.electrodes.unknown(), *self.lasting)))
+        return list(filter(None, (*self._in_disorder(), *flags, *lost, self.electrodes.unknown(), *self.lasting)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

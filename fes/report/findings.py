@@ -14,6 +14,7 @@ from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, number, readable
+from fes.stimulation.order import NOTED
 
 Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
@@ -74,6 +75,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
             yield from _channel(channel, summary.command_period_s)
             yield from _tuning(channel, summary)
         yield from _wire(summary)
+        yield from _disorder(summary)
         yield from _toe_on_the_ground(summary)
         yield from _strides(summary)
         yield from _speed(summary)
@@ -219,6 +221,15 @@ def _toe_on_the_ground(summary: SessionSummary) -> Iterator[Finding]:
             yield Finding(
                 "info", f"{readable(foot).capitalize()}: {what}; whether it touched cannot be told so exactly."
             )
+
+
+def _disorder(summary: SessionSummary) -> Iterator[Finding]:
+    """Feet whose cycle the machine did not see, by the session's own notes: from when on, and why."""
+    told = [each for each in summary.notices if each.source == NOTED and each.severity == "warning"]
+    if told:
+        often = f" {count_of(len(told), 'time')}, first" if len(told) > 1 else ""
+        text = f"A foot came into disorder{often} at {told[0].time_s:.1f} s: {told[0].text}."
+        yield Finding("warning", text)
 
 
 def _numbers(rows: list[StrideRow]) -> str:

@@ -20,6 +20,7 @@ from typing import Final
 
 from fes.config import Stimulation
 from fes.signals import NS_PER_S, Event, FootSwitchEvent, StrideResult
+from fes.stimulation.order import OrderJudge
 from statemachine.phases import Phase, PhaseChange, Transition
 
 CYCLES: Final = 2  # of the switch, before it is believed
@@ -89,7 +90,10 @@ LOST, LANDED, STANCE = Transition.NONE, (Transition.T4, Transition.T6), Phase.ST
 
 
 class WalkingJudge:
-    """Follows one foot's phases and strides and says whether it walks; causal, no clock."""
+    """Follows one foot's phases and strides and says whether it walks; causal, no clock.
+
+    ``order``: who says whether they are a cycle at all; a foot in disorder is not known to walk.
+    """
 
     def __init__(self, settings: Stimulation) -> None:
         self._enough, self._least_m = settings.strides_before_start, settings.min_stride_length_m
@@ -99,16 +103,19 @@ class WalkingJudge:
         self._stances_s: deque[float] = deque(maxlen=REMEMBERED_STANCES)
         self._lengths_m: deque[float] = deque(maxlen=REMEMBERED_LENGTHS)  # of good strides, not of curves
         self._standing = True  # until a swing; again where a stance, or any other phase, lasts
+        self.order = OrderJudge(settings.min_stride_length_m)
         self._begun_ns, self._longest_ns = 0, LONGEST_NS  # of what must end by then, or the foot stands
         self.reason = "no stride yet"
 
     @property
     def walking(self) -> bool:
         """Whether enough good strides have come one after the other, and the foot has not stopped since."""
-        return not self._standing and self._good_strides >= self._enough
+        return not self._standing and self._good_strides >= self._enough and self.order.in_order
 
     def describe(self) -> str:
         """What it holds of this foot, for people."""
+        if not self.order.in_order:
+            return self.order.describe()
         known = (
             f"{min(self._good_strides, self._enough)} of {self._enough} strides in a row that carry the foot forward"
         )
@@ -125,6 +132,7 @@ class WalkingJudge:
 
     def on_stride(self, stride: StrideResult) -> None:
         """Count a stride for or against walking."""
+        self.order.on_stride(stride)
         if not stride.valid:
             self._lapse(f"stride {stride.number} {stride.reason}")
         elif stride.stride_length_m < self._least_m:
@@ -138,6 +146,7 @@ class WalkingJudge:
     def on_phase(self, change: PhaseChange) -> bool:
         """Follow a phase change; returns whether a burst that starts with it is permitted."""
         permitted = True
+        self.order.on_phase(change)
         if change.transition is LOST:
             self._lapse("data were lost")
             self._stance_ns = change.t_ns
@@ -150,7 +159,7 @@ class WalkingJudge:
         self._begun_ns, self._longest_ns = change.t_ns, LONGEST_NS
         if change.destination is STANCE and self._stance_ns is not None:
             self._begun_ns, self._longest_ns = self._stance_ns, round(NS_PER_S * self._longest_stance_s())
-        return permitted and self._good_strides >= self._enough
+        return permitted and self._good_strides >= self._enough and self.order.in_order
 
     def _end_of_stance(self, stance_s: float) -> bool:
         """The heel rises after a stance of this length; returns whether that can be walking on."""

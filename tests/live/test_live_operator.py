@@ -335,7 +335,7 @@ def test_a_refusal_is_shown_for_ten_seconds_and_then_what_stood_there_before() -
 @pytest.mark.parametrize("shown", [True, False])
 def test_what_was_wrong_with_a_sensor_that_drives_nothing_is_shown_while_it_is(shown: bool) -> None:
     bench = Bench()
-    notices = Notices(bench.gate, Electrodes((), None))
+    notices = Notices(bench.gate, Electrodes((), None), list)
     bench.gate.observe(ImuSample(MS, "left_shank", MS, (0.0, 0.0, float("nan")), (0.0, 0.0, 0.0)))
     assert bool(notices.now(MS + (4999 if shown else 5000) * MS)) is shown
 

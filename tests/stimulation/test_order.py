@@ -1,0 +1,178 @@
+"""Does the machine see this foot's cycle: each rule of the judge alone, then feet whose cycle it does not see."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fes.calibration.recording import calibrate_phase_sensors, save
+from fes.config import Stimulation
+from fes.control.controller import Controller
+from fes.control.replay import session_for
+from fes.estimation.foot.calibration import FootCalibration
+from fes.recording.tracks import samples_of
+from fes.report.findings import findings
+from fes.report.summary import summarise
+from fes.signals import StrideResult
+from fes.stimulation.order import OrderJudge
+from fes.stimulation.walking import WalkingJudge
+from statemachine.phases import Phase, PhaseChange, Transition
+from tests.replays import replay, trial
+
+FOOT = "left_foot"
+T = Transition
+CYCLE = (T.T1, T.T2, T.T3, T.T4)
+GONE = (T.T1, T.T2, T.T6)
+PUT_BACK = (T.T1, T.T5)
+STEP = {
+    T.T1: (Phase.STANCE, Phase.PRE_SWING),
+    T.T2: (Phase.PRE_SWING, Phase.SWING),
+    T.T3: (Phase.SWING, Phase.LOADING_RESPONSE),
+    T.T4: (Phase.LOADING_RESPONSE, Phase.STANCE),
+    T.T5: (Phase.PRE_SWING, Phase.STANCE),
+    T.T6: (Phase.SWING, Phase.STANCE),
+    T.NONE: (Phase.SWING, Phase.STANCE),
+}
+
+
+def stride(length_m: float = 1.0, reason: str = "", *, valid: bool | None = None) -> StrideResult:
+    sound = not reason if valid is None else valid
+    return StrideResult(FOOT, 1, 0, 1_000_000_000, length_m, turn_rad=0.0, valid=sound, reason=reason)
+
+
+class Foot:
+    """A foot whose judge is told of one cycle after the other."""
+
+    def __init__(self, least_m: float = 0.15) -> None:
+        self.walking = WalkingJudge(Stimulation(strides_before_start=0, min_stride_length_m=least_m))
+        self.now_s = 0.0
+
+    @property
+    def order(self) -> OrderJudge:
+        return self.walking.order
+
+    def go(
+        self, fired: tuple[Transition, ...] = CYCLE, result: StrideResult | None = None, cycle_s: float = 1.2
+    ) -> bool:
+        """One cycle from its heel rise on, then its stride. Whether a burst might begin with it."""
+        permitted = [self._change(each, 0.1 * k) for k, each in enumerate(fired)]
+        self.now_s += cycle_s
+        self.walking.on_stride(result or stride())
+        return permitted[0]
+
+    def _change(self, each: Transition, after_s: float) -> bool:
+        return self.walking.on_phase(PhaseChange(round((self.now_s + after_s) * 1e9), FOOT, each, *STEP[each]))
+
+
+@pytest.mark.requirement("SR-25")
+@pytest.mark.parametrize(
+    ("poor", "words"),
+    [
+        ({"result": stride(reason="went backward by -1.00 m")}, "4 did not travel"),
+        ({"result": stride(0.09)}, "4 did not travel"),
+        ({"fired": GONE}, "4 skipped a phase"),
+    ],
+)
+def test_four_poor_swings_of_the_last_six_end_order_and_three_sound_ones_restore_it(
+    poor: dict[str, Any], words: str
+) -> None:
+    foot = Foot()
+    for sound in (True, False, False, True, False, False):
+        assert foot.go(**({} if sound else poor))
+        assert foot.order.in_order
+    assert not foot.go()  # at this heel rise the last of them is known
+    assert foot.order.reason == f"of its last 6 swings {words}"
+    assert not foot.walking.walking
+    assert "in disorder" in foot.walking.describe()
+    assert [foot.go(), foot.go(**poor), foot.go(), foot.go(), foot.go()] == [False] * 5
+    assert foot.go()
+    assert foot.order.in_order
+    assert foot.order.reason == ""
+    assert all(foot.go(**poor) for _ in range(4)), "nothing from before counts"
+
+
+def test_cycles_that_differ_by_a_quarter_are_no_cycles() -> None:
+    foot = Foot()
+    for cycle_s in (1.2, 1.2, 1.2, 1.45, 1.45, 0.95, 0.95):
+        foot.go(cycle_s=cycle_s)
+    foot.go()
+    assert foot.order.in_order
+    for cycle_s in (1.6, 0.8, 1.6, 0.8):
+        foot.go(cycle_s=cycle_s)
+    foot.go()
+    assert foot.order.reason == "of its last 6 swings 4 came out of rhythm"
+
+
+@pytest.mark.parametrize(
+    "unjudged",
+    [
+        {"result": stride(reason="samples missing for 60 ms")},
+        {"fired": PUT_BACK},
+        {"fired": (T.T1, T.T2, T.NONE)},
+        {"cycle_s": 4.0},
+        {"result": stride(1.0, "no true rest: 1.0 rad/s at its quietest", valid=True)},
+    ],
+)
+def test_gaps_stops_and_heels_put_back_say_nothing(unjudged: dict[str, Any]) -> None:
+    foot = Foot()
+    for _ in range(4):
+        foot.go()
+    for _ in range(8):
+        foot.go(**unjudged)
+        foot.go()
+        foot.go()
+    assert foot.order.in_order
+
+
+@pytest.mark.parametrize(("least_m", "in_order"), [(0.15, False), (0.04, True)])
+def test_a_session_for_short_strides_counts_them(least_m: float, in_order: bool) -> None:
+    foot = Foot(least_m)
+    for _ in range(7):
+        foot.go(result=stride(0.06))
+    assert foot.order.in_order is in_order
+
+
+# --- feet that walk ---------------------------------------------------------------------------------------------------
+
+
+def reversed_axis(calibration: object) -> FootCalibration:
+    assert isinstance(calibration, FootCalibration)
+    x, y, z = calibration.toe_down
+    return replace(calibration, toe_down=(-x, -y, -z))
+
+
+@pytest.mark.parametrize("name", ["negard_patient1", "negard_patient2", "both_feet_200hz", "soft_contact"])
+def test_trials_in_order_are_never_named(name: str) -> None:
+    recording = trial(name)
+    calibrations = calibrate_phase_sensors(recording).calibrations
+    controller = Controller(session_for(recording, None), calibrations)
+    for sample in samples_of(recording, set(calibrations)):
+        assert not controller.step(sample).notes
+    assert controller.in_disorder() == []
+
+
+@pytest.mark.requirement("SR-25")
+def test_a_reversed_axis_is_named_once_logged_reported_and_no_burst_begins(tmp_path: Path) -> None:
+    recording = trial("negard_patient2")
+    stored = calibrate_phase_sensors(recording)
+    calibration = tmp_path / "reversed.json"
+    save(
+        replace(stored, calibrations={sensor: reversed_axis(each) for sensor, each in stored.calibrations.items()}),
+        calibration,
+    )
+    path = recording.path
+    assert path is not None
+    record = replay(path, tmp_path, calibration=calibration)
+    told = [note for note in record.notes if note.source == "phases"]
+    assert [note.severity for note in told] == ["warning"]
+    assert "in disorder: of its last 4 swings 4 did not travel" in told[0].text
+    swings = [c for c in record.phases if c.transition is T.T2 and c.t_ns <= told[0].t_ns]
+    assert len(swings) <= 5
+    assert not any(command.on and command.t_ns > told[0].t_ns for command in record.commands)
+    summary = summarise(record)
+    assert any(each.level == "warning" and "came into disorder" in each.text for each in findings(summary))
+    assert "in disorder" in json.dumps(summary.to_json())
