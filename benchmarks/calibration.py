@@ -43,7 +43,16 @@ WALKED_S, STOOD_S, SHAKEN_S = 25, 30, 30.0
 PLANTED = 60
 NEAR_DEG, SHARE_NEAR = 8.0, 0.95
 SLOW_MPS = 0.36
-FAULT_WORDS = ("backward", "sideways", "strides found", "uncertain", "too slow to turn", "off gravity", "quietest")
+FAULT_WORDS = (
+    "backward",
+    "sideways",
+    "strides found",
+    "no one way forward",
+    "uncertain",
+    "too slow to turn",
+    "off gravity",
+    "quietest",
+)
 
 
 @dataclass

@@ -59,11 +59,12 @@ MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or th
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # in the score, of half the unrest at the quiet instants or twice the time that strides take up
 TRAVEL_SD_RAD = 0.16  # how far a foot points from where it goes: a toe-out of 7 ± 6°
-FALLS_SD_RAD = 0.23  # of the falls: half of the 10–30° by which the line through the toes' joints is oblique, and more
-MOST_AXIS_SD_RAD = 0.42  # 24°; of real feet 15° at most, and more is about what makes a tenth of the pitch go missing
+FALLS_SD_RAD = 0.26  # of the falls: the line through the toes' joints is oblique by 10–30°, and the leg turns outward
+MOST_AXIS_SD_RAD = 0.42  # 24°; of real feet 15° at most; so far off, a tenth of the pitch is missing
 BACKWARD_RAD = 0.35  # tilted toe-up by so much more than toe-down: backward; of 138 real feet that go forward 0.19
-SIDEWAYS = 1.5  # times as much tilt about the way as across it; of these feet 1.2, of those carried sideways 1.8
-ASTRAY_RAD, MOST_ASTRAY = 0.52, 0.25  # strides that lead so far from where all lead; of these feet 20 %, of shaken 24 %
+SIDEWAYS = 1.6  # times as much tilt about the way as across it; of these feet 1.2 (1.5 in 20 s), carried sideways 1.8
+ASTRAY_RAD, MOST_ASTRAY = 0.52, 1.0 / 3.0  # strides that lead so far from where all do; of these feet a fifth (a third
+# in 20 s), of a sensor shaken by hand 33–90 %
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
