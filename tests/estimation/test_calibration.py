@@ -190,15 +190,15 @@ def crabbing(crab_deg: float) -> Track:
 
 @pytest.mark.parametrize("crab_deg", [0.0, 15.0, 25.0, 50.0, -50.0])
 def test_where_falls_and_travel_are_at_odds_the_axis_lies_between_and_is_less_sure(crab_deg: float) -> None:
-    """The travel counts two thirds: a foot rolls obliquely over its toes by more than it points outward."""
+    """The travel counts nearly three quarters: a foot rolls obliquely over its toes by more than it points outward."""
     found, straight = calibrate_track(crabbing(crab_deg)), calibrate_track(crabbing(0.0))
-    assert math.degrees(math.atan2(-found.toe_down[0], found.toe_down[1])) == pytest.approx(0.67 * crab_deg, abs=1.5)
-    assert found.axis_sd_rad == pytest.approx(straight.axis_sd_rad * max(abs(crab_deg) / 16.1, 1.0), rel=0.05)
+    assert math.degrees(math.atan2(-found.toe_down[0], found.toe_down[1])) == pytest.approx(0.725 * crab_deg, abs=1.5)
+    assert found.axis_sd_rad == pytest.approx(straight.axis_sd_rad * max(abs(crab_deg) / 17.5, 1.0), rel=0.05)
 
 
 def test_an_axis_that_is_too_uncertain_is_refused() -> None:
     assert re.search(
-        r"the mediolateral axis is uncertain by ±25° \(24° are allowed\): the 12 strides", refused(crabbing(54.0))
+        r"the mediolateral axis is uncertain by ±25° \(24° are allowed\): the 12 strides", refused(crabbing(57.0))
     )
 
 
@@ -251,7 +251,7 @@ def test_two_strides_must_agree_better_than_many() -> None:
     assert 0.0 < found.axis_sd_rad < 0.5 * MOST_AXIS_SD_RAD
     assert angle_deg(found.toe_down, calibrated(name, foot).toe_down) < 3.0
     assert "of 2 movements lead more than 30° away" in refused(turned_by_turns(two, [flat_s[10]], 70.0))
-    many = calibrate_track(turned_by_turns(strides_of(name, foot, 10, 8), flat_s[10:17], 58.0))
+    many = calibrate_track(turned_by_turns(strides_of(name, foot, 10, 8), flat_s[10:17], 50.0))
     assert many.strides == 8
     assert found.axis_sd_rad < many.axis_sd_rad < MOST_AXIS_SD_RAD
 
