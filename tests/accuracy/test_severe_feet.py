@@ -1,4 +1,4 @@
-"""Six severe, slow feet against instants that two raters set by hand (``severe_feet``), by the benchmark of that name."""
+"""Six severe, slow feet against instants that two raters set by hand, by ``benchmarks/severe_feet.py``."""
 
 from __future__ import annotations
 
