@@ -12,8 +12,10 @@ those for which a stride says why it has none; speed over the belt's (last 120 s
 the stride before to its own, so whole cycles); error of stride length ("fast": the cycle lasts less than 0.9 s);
 events of ``fes analyse`` per swing; foot-strike angle against Vicon's mean; and the share of strides whose phases are
 the same when the sensor is calibrated on 20 s elsewhere (three places). Footswitches: how much later than the label
-each of T1–T4 is, and how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), where
-neither spike nor stall nor burst is near. ``--json`` keeps everything, so that two versions can be compared.
+each of T1–T4 is, how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), and how
+much of its loading lies in the machine's stance or pre-swing (left without stimulation), where neither spike nor stall
+nor burst is near. A refused foot has no stride in order, in every table. ``--json`` keeps everything, so that two
+versions can be compared.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ import numpy as np
 from ankle import load_shanks
 from command_line import console_of, parser_of, save
 from event_cases import gaitmap_cases
-from real_sets import Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
+from real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, load_run, track_of
 from swing_judge import IN_ORDER, Labelled, answered, fired_by_stride, in_order, labelled, pairs, score, swing_phases
@@ -62,7 +64,10 @@ NEXT_S = 0.5  # a stride that begins this soon after the last one's end goes on 
 LYING, DRIFTING = ("P06",), ("P07_1", "H04_2")  # sensor, labels
 SHORT_FLAT = ("H03",)  # T4 cannot be judged
 TIMES = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
+COSTS = ("flat_ms", "loading_left_ms")  # of a stride, by a channel from T1 to T4
 SPIKE_MPS2, SPIKE_RADPS = 400.0, 40.0
+HEEL_UP_M = 0.005  # T1 of markers, as the simulated truth has it
+STANCE_S = 1.5  # a stance on gaitmap's walk is shorter
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +119,7 @@ class Found:
     elsewhere_same: int = 0
     later_ms: dict[str, list[float]] = field(default_factory=dict)
     flat_ms: list[float] = field(default_factory=list)
+    loading_left_ms: list[float] = field(default_factory=list)
     by_labels_alone: int = 0
 
     @property
@@ -258,7 +264,7 @@ def cycles_s(swings: Swings) -> list[float]:
     """The time from each whole swing to the one before or after, the shorter of both."""
     gaps_s = np.append(1e-9 * np.diff(swings.sure), np.inf)
     at = np.searchsorted(swings.sure, swings.whole())
-    return np.minimum(gaps_s[at], gaps_s[at - 1]).tolist()
+    return [float(gap_s) for gap_s in np.minimum(gaps_s[at], gaps_s[at - 1])]
 
 
 def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -> tuple[list[float], list[bool]]:
@@ -288,6 +294,7 @@ def judge(foot: Foot) -> Found:
         calibration = calibrate(track)
     except CalibrationError as error:
         found.refused = str(error)
+        found.elsewhere = len(ELSEWHERE) * len(pairs(swings)) if track.duration_s > 2.0 * ELSEWHERE_S else 0
         return found
     changes, strides = causal(track, calibration)
     counts = score(swings, changes, strides)
@@ -333,7 +340,9 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
             continue
         found.in_order += ordered
         found.by_labels_alone += fired == IN_ORDER
-        found.flat_ms.append(1e3 * labels.stimulated_flat_s(changes, begin, end))
+        flat_s, loading_s = labels.flat_and_loading_s(changes, begin, end)
+        found.flat_ms.append(1e3 * flat_s)
+        found.loading_left_ms.append(1e3 * loading_s)
         if fired == IN_ORDER:
             true = labels.times(begin, end)
             for change in changes:
@@ -347,11 +356,31 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
 
 
 def against_markers(found: Found, foot: Foot, changes: list[PhaseChange]) -> None:
-    """How much later than the markers' events T3 and T2 are."""
-    for name, known_s in (("T3", foot.ic_s), ("T2", foot.fo_s)):
+    """How much later than the markers' events T1, T2 and T3 are."""
+    known = {"T1": heel_rises_s(foot), "T2": foot.fo_s, "T3": foot.ic_s}
+    for name, known_s in known.items():
         times = np.array([1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name])
         nearest = [times[np.argmin(np.abs(times - t))] - t for t in known_s] if len(times) else []
         found.later_ms[name] = [1e3 * float(d) for d in nearest if abs(d) < 0.25]
+
+
+def heel_rises_s(foot: Foot) -> list[float]:
+    """When the heel marker leaves the least height of a stance by ``HEEL_UP_M``, for the last time before foot off.
+
+    Of the second half of the stance: at contact, under a foot that is pitched, the marker lies 10 mm lower than flat.
+    """
+    found: list[float] = []
+    walk = foot.walk
+    if not isinstance(walk, PathWalk):
+        return found
+    for off_s in foot.fo_s:
+        contacts = foot.ic_s[(foot.ic_s < off_s) & (foot.ic_s > off_s - STANCE_S)]
+        if len(contacts):
+            first, last = (round(t_s * walk.rate_hz) for t_s in (0.5 * (contacts[-1] + off_s), off_s))
+            height_m = walk.position_m[first : last + 1, 2]
+            down = np.flatnonzero(height_m <= np.nanmin(height_m) + HEEL_UP_M)
+            found.append((first + int(down[-1]) + 1) / walk.rate_hz)
+    return found
 
 
 def calibrated_elsewhere(found: Found, foot: Foot, swings: Swings, changes: list[PhaseChange]) -> None:
@@ -445,6 +474,7 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
 def delays_table(found: list[Found]) -> Table:
     table = Table(
         "walker", "in order %", "T1 ms", "T2 ms", "T3 ms", "T4 ms", "flat foot stimulated, median ms", "95 % ms",
+        "loading left without stimulation, median ms", "95 % ms",
         title="footswitches (gaitmap: markers): later than the label, median ± SD",
     )  # fmt: skip
     people: dict[str, list[Found]] = defaultdict(list)
@@ -461,8 +491,7 @@ def delays_table(found: list[Found]) -> Table:
             judged = person not in LYING and not (person in SHORT_FLAT and each is Transition.T4)
             if len(values) > 4 and judged and person[0] in medians:
                 medians[person[0]][each.name].append(float(np.median(values)))
-        flat = [ms for t in trials for ms in t.flat_ms]
-        spread = [f"{np.median(flat):.0f}", f"{np.percentile(flat, 95):.0f}"] if flat else ["–", "–"]
+        spread = [value for kind in COSTS for value in middle_and_most(trials, kind)]
         table.add_row(person, percent(sum(t.in_order for t in trials), sum(t.strides for t in trials)), *cells, *spread)
     if medians["H"] and medians["P"]:
         off = [
@@ -471,14 +500,23 @@ def delays_table(found: list[Found]) -> Table:
             else "–"
             for each in TIMES
         ]
-        spreads = []
-        for group in ("H", "P"):
-            own = [t for t in found if t.data_set == "footswitch_treadmill" and t.person.startswith(group)]
-            flat = [ms for t in own if t.person not in LYING and t.run not in DRIFTING for ms in t.flat_ms]
-            spreads.append((np.median(flat), np.percentile(flat, 95)) if flat else (np.nan, np.nan))
-        words = [f"{h:.0f} healthy, {p:.0f} hemiparetic" for h, p in zip(*spreads, strict=True)]
+        sound = [t for t in found if t.data_set == "footswitch_treadmill"]
+        sound = [t for t in sound if t.person not in LYING and t.run not in DRIFTING]
+        groups = [[t for t in sound if t.person.startswith(group)] for group in ("H", "P")]
+        words = [
+            f"{h} healthy, {p} hemiparetic"
+            for kind in COSTS
+            for h, p in zip(*(middle_and_most(group, kind) for group in groups), strict=True)
+        ]
         table.add_row("hemiparetic − healthy", "", *off, *words)
     return table
+
+
+def middle_and_most(trials: Iterable[Found], kind: str) -> tuple[str, str]:
+    """Median and 95 % of a stride's milliseconds; what is left of loading hangs on the label of T4."""
+    judged = [t for t in trials if kind == "flat_ms" or t.person not in SHORT_FLAT]
+    values = [ms for t in judged for ms in getattr(t, kind)]
+    return (f"{np.median(values):.0f}", f"{np.percentile(values, 95):.0f}") if values else ("–", "–")
 
 
 def strike_lines(found: list[Found]) -> list[str]:

@@ -1,12 +1,16 @@
 """The phases' figures with the judged walker left out of whatever chose the constants.
 
-    python benchmarks/left_out.py [--only SET …] [--jobs N] [--data FOLDER] [--json FILE]
+    python benchmarks/left_out.py [--only SET …] [--constants NAME …] [--jobs N] [--data FOLDER] [--json FILE]
 
-Every constant of guards and calibration that was chosen by data (``CHOICES``) is chosen again for each walker, by all
-the other walkers of all sets together: the value with the greatest ``worth``, one constant at a time about the middle
-ones. The walker is then judged once with the values so chosen. Beside it stands the same figure with the program's own
-values, which is a description: they were chosen with the walker looked at. Swings, strides and labels are those of
-``every_walker.py`` and ``swing_judge.py``; shanks, whose levels are their own, are not part of it.
+Constants of guards and calibration that were chosen by data (``CHOICES``) are chosen again for each walker, by all the
+other walkers of all sets together: the value with the least ``cost``, one constant at a time about the program's own
+values. The walker is then judged once with the values so chosen. Beside it stands the same figure with the program's
+own values, which is a description: they were chosen with the walker looked at.
+
+A walker's cost is the median error of T4, that of T1 where it is true to millimetres (bundled trials, gaitmap), and
+``ORDER_MS`` for each percent of strides out of order; errors are of the size, early or late. Swings, strides and labels
+are those of ``every_walker.py`` and ``swing_judge.py``, the marks those of ``severe_feet.py``; shanks, whose levels are
+their own, and the foot that is dragged by stick and slip, whose instants are not solved, are not part of it.
 """
 
 from __future__ import annotations
@@ -14,20 +18,25 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from command_line import console_of, parser_of, save
+from event_cases import NAMES, TRIALS
 from every_walker import (
     DRIFTING,
     LYING,
     SETS,
+    SHORT_FLAT,
     Foot,
     Found,
     against_labels,
+    against_markers,
     calibrate,
     causal,
     feet_of,
@@ -35,6 +44,7 @@ from every_walker import (
     swings_of,
 )
 from rich.table import Table
+from severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
 from stroke_treadmill import data_folder
 from swing_judge import score
 
@@ -42,25 +52,28 @@ from fes.cohort.sweep.grid import Point
 from fes.cohort.sweep.task import with_thresholds
 from fes.estimation.foot import calibration as foot_calibration
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.recording import read_recording
+from fes.simulation.truth import load_truth
 from statemachine.guards import Thresholds
+from statemachine.phases import PhaseChange, Transition
 
-# the middle one is where choosing starts
 GUARDS: dict[str, tuple[float, ...]] = {
-    "rest_share": (0.12, 0.15, 0.18, 0.22),
-    "heel_rise_share": (0.08, 0.12, 0.18),
-    "heel_rise_rad": (0.03, 0.04, 0.055),
-    "toe_up_share": (0.22, 0.26, 0.3, 0.36),
-    "push_off_share": (0.3, 0.4, 0.5),
-    "shortest_swing": (0.5, 0.6, 0.7),
-    "rising_share": (0.3, 0.4, 0.5),
-    "soft_contact": (0.2, 0.3, 0.4),
-    "jerk_share": (0.15, 0.2, 0.3, 0.4),
-    "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
-    "settled_share": (0.25, 0.35, 0.45),
-    "longest_loading": (1.5, 2.0, 2.5),
+    "heel_rise_rad": (0.03, 0.04, 0.05),
+    "heel_rise_share": (0.08, 0.12, 0.16),
     "heel_rise_after": (0.25, 0.26, 0.27),
+    "toe_up_share": (0.22, 0.26, 0.3, 0.36),
     "swung_share": (0.4, 0.45, 0.5),
     "swung_after_s": (0.2, 0.25, 0.3),
+    "push_off_share": (0.3, 0.4, 0.5),
+    "shortest_swing": (0.5, 0.6, 0.7),
+    "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
+    "rising_share": (0.25, 0.4, 0.6),
+    "jerk_share": (0.15, 0.2, 0.3, 0.4),
+    "rest_share": (0.12, 0.15, 0.18, 0.22),
+    "soft_contact": (0.2, 0.3, 0.4),
+    "flat_rad": (0.02, 0.03, 0.045),
+    "settled_share": (0.35, 0.45, 0.55),
+    "longest_loading": (1.5, 2.0, 3.0),
 }
 CALIBRATION: dict[str, tuple[float, ...]] = {
     "FALL_SHARE": (0.35, 0.45, 0.55),
@@ -68,31 +81,67 @@ CALIBRATION: dict[str, tuple[float, ...]] = {
     "TYPICAL_SHARE": (0.25, 1.0 / 3.0, 0.4),
 }
 CHOICES = GUARDS | CALIBRATION
-START = {name: values[(len(values) - 1) // 2] for name, values in CHOICES.items()}
 OWN = {name: getattr(Thresholds(), name) for name in GUARDS} | {
     name: getattr(foot_calibration, name) for name in CALIBRATION
 }
-FLAT_MS_PER_POINT = 20.0  # of a flat foot stimulated, that count as one stride of a hundred out of order
+ORDER_MS = 10.0  # of error, that count as one stride of a hundred out of order
+LONGEST_MS = 500.0  # a phase change further from the truth belongs to another stride
+TIMED = (Transition.T1, Transition.T3, Transition.T4)
 Values = tuple[tuple[str, float], ...]
+Walker = tuple[str, str]  # set and person
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One foot by one set of values."""
+    """One foot by one set of values, or several together; ``late_ms`` by instant, where a truth is."""
 
     strides: int
     in_order: int
     swings: int
     false_swings: int
-    flat_ms: float
+    flat_ms: list[float]
+    late_ms: dict[str, list[float]]
+
+    def off_ms(self, instant: str) -> float:
+        """Size of the median error; NaN where there is no truth."""
+        return abs(float(np.median(self.late_ms[instant]))) if self.late_ms.get(instant) else float("nan")
 
     @property
-    def worth(self) -> float:
-        """Strides in order, less false swings, of a hundred; less what is stimulated of a flat foot."""
-        if not self.strides:
-            return 0.0
-        flat = 0.0 if np.isnan(self.flat_ms) else self.flat_ms / FLAT_MS_PER_POINT
-        return 100.0 * (self.in_order - self.false_swings) / self.strides - flat
+    def cost(self) -> float:
+        """What choosing makes least, ms."""
+        disorder = 100.0 * (self.strides - self.in_order) / self.strides if self.strides else 0.0
+        return float(np.nansum((self.off_ms("T4"), self.off_ms("T1")))) + ORDER_MS * disorder
+
+
+def together(judged: Iterable[Judged]) -> Judged:
+    """A walker's feet as one."""
+    feet = list(judged)
+    late = {each.name: [ms for foot in feet for ms in foot.late_ms.get(each.name, [])] for each in TIMED}
+    return Judged(
+        sum(foot.strides for foot in feet), sum(foot.in_order for foot in feet),
+        sum(foot.swings for foot in feet), sum(foot.false_swings for foot in feet),
+        [ms for foot in feet for ms in foot.flat_ms], late,
+    )  # fmt: skip
+
+
+def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
+    """The feet of these sets; bundled trials and marked feet are sets of their own."""
+    if "bundled" in wanted:
+        for name in NAMES:
+            for track in read_recording(TRIALS / f"{name}.parquet").tracks.values():
+                yield Foot("bundled", "simulated", name, name, track)
+    marked = [foot for foot in severe_feet(data) if (foot.run, side_of(foot)) != DRAGGED]
+    if "severe_feet" in wanted:
+        yield from (replace(foot, data_set="severe_feet") for foot in marked)
+    own = {(foot.run, foot.track.sensor) for foot in marked}
+    for foot in feet_of(data, [name for name in SETS if name in wanted]):
+        lies = foot.person.startswith(LYING) or foot.run in DRIFTING
+        if not lies and (foot.data_set != "stroke_walks" or (foot.run, foot.track.sensor) not in own):
+            yield foot
+
+
+def side_of(foot: Foot) -> str:
+    return foot.track.sensor.split("_")[0]
 
 
 def judge(values: list[Values], foot: Foot) -> list[Judged]:
@@ -109,8 +158,8 @@ def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, Fo
         for name in CALIBRATION:
             setattr(foot_calibration, name, values[name])
         try:
-            found = calibrate(foot.track)
-            made[key] = found if isinstance(found, FootCalibration) else None
+            own = calibrate(foot.track)
+            made[key] = own if isinstance(own, FootCalibration) else None
         except CalibrationError:
             made[key] = None
         for name, value in kept.items():
@@ -118,17 +167,40 @@ def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, Fo
     strides = [pair for pair in pairs(swings) if foot.labels is None or foot.labels.judged(*pair)]
     calibration = made[key]
     if calibration is None:
-        return Judged(len(strides), 0, len(swings.whole()), 0, float("nan"))
+        return Judged(len(strides), 0, len(swings.whole()), 0, [], {})
     sensor = foot.track.sensor
     point = Point(tuple((f"thresholds.{name}", values[name]) for name in GUARDS))
     changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
-    found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
     counts = score(swings, changes, solved)
+    found = Found(foot.data_set, foot.part, foot.person, foot.run, sensor)
     found.in_order, found.false_swings = counts.in_order, counts.false_swings
     if foot.labels is not None:
         against_labels(found, foot.labels, swings, changes)
-    flat = float(np.median(found.flat_ms)) if found.flat_ms else float("nan")
-    return Judged(len(strides), found.in_order, len(swings.whole()), found.false_swings, flat)
+        found.later_ms.pop("T1", None)  # switches see a heel rise late, each its own
+        if foot.person in SHORT_FLAT:
+            found.later_ms.pop("T4", None)
+    elif foot.ic_s is not None:
+        against_markers(found, foot, changes)
+    elif foot.data_set == "severe_feet":
+        marks = [marks_of(rater)[foot.run, side_of(foot)] for rater in RATERS]
+        for each in TIMED[1:]:
+            found.later_ms[each.name] = [ms for one in marks for ms in errors_ms(one, changes, each)[1]]
+    elif foot.data_set == "bundled":
+        found.later_ms = against_truth(foot, changes)
+    return Judged(
+        len(strides), found.in_order, len(swings.whole()), found.false_swings, found.flat_ms, found.later_ms
+    )  # fmt: skip
+
+
+def against_truth(foot: Foot, changes: Sequence[PhaseChange]) -> dict[str, list[float]]:
+    """How much later than the simulated walker's own instants T1, T3 and T4 are."""
+    strides = [s for s in load_truth(TRIALS / f"{foot.run}.parquet").strides_of(foot.track.sensor) if s.walking]
+    late: dict[str, list[float]] = {}
+    for each, name in zip(TIMED, ("t_pre_swing_s", "t_loading_response_s", "t_stance_s"), strict=True):
+        fired = np.array([1e-9 * change.t_ns for change in changes if change.transition is each])
+        off = [1e3 * min(fired - getattr(stride, name), key=abs) for stride in strides] if len(fired) else []
+        late[each.name] = [float(ms) for ms in off if abs(ms) < LONGEST_MS]
+    return late
 
 
 def walked(feet: list[Foot], values: list[Values], jobs: int) -> list[list[Judged]]:
@@ -137,19 +209,17 @@ def walked(feet: list[Foot], values: list[Values], jobs: int) -> list[list[Judge
         return list(pool.map(partial(judge, values), feet, chunksize=1))
 
 
-def chosen(tried: dict[Values, int], judged: list[list[Judged]], others: list[int]) -> dict[str, float]:
-    """For each constant the value with which the other feet are worth most; ties go to the start."""
-    best = dict(START)
-    for name, options in CHOICES.items():
-        worths = {v: _worth(tried[_values(START | {name: v})], judged, others) for v in options}
-        most = max(worths.values())
-        if worths[START[name]] < most - 1e-9:
-            best[name] = max(worths, key=lambda v: worths[v])
-    return best
-
-
-def _worth(at: int, judged: list[list[Judged]], others: list[int]) -> float:
-    return float(np.mean([judged[k][at].worth for k in others]))
+def chosen(costs: dict[Values, dict[Walker, float]], constants: Sequence[str], out: Walker) -> Values:
+    """For each constant the value that costs the other walkers least, in the mean; ties go to the program's own."""
+    best = dict(OWN)
+    for name in constants:
+        mean = {}
+        for value in CHOICES[name]:
+            each = costs[_values(OWN | {name: value})]
+            mean[value] = float(np.mean([cost for walker, cost in each.items() if walker != out]))
+        if min(mean.values()) < mean[OWN[name]] - 1e-9:
+            best[name] = min(mean, key=lambda value: mean[value])
+    return _values(best)
 
 
 def _values(values: dict[str, float]) -> Values:
@@ -157,57 +227,76 @@ def _values(values: dict[str, float]) -> Values:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 3 without data."""
+    """Print the tables; 3 without data."""
     parser = parser_of(__doc__, data_folder())
-    sets = [name for name in SETS if name != "shanks"]
+    sets = ["bundled", "severe_feet", *(name for name in SETS if name != "shanks")]
     parser.add_argument("--only", nargs="+", choices=sets, default=sets, help="these sets alone")
+    parser.add_argument("--constants", nargs="+", choices=CHOICES, default=list(CHOICES), help="choose these alone")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
     options = parser.parse_args(arguments)
-    feet = [foot for foot in feet_of(options.data, options.only) if not foot.person.startswith(LYING)]
-    feet = [foot for foot in feet if foot.run not in DRIFTING]
-    if not feet:
+    feet = list(all_feet(options.data, options.only))
+    if all(foot.data_set == "bundled" for foot in feet):
         print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
         return 3
-    singles = [_values(START), *(_values(START | {n: v}) for n, vs in CHOICES.items() for v in vs if v != START[n])]
+    walkers: dict[Walker, list[int]] = defaultdict(list)
+    for at, foot in enumerate(feet):
+        walkers[foot.data_set, foot.person].append(at)
+    own = _values(OWN)
+    singles = [own, *(_values(OWN | {n: v}) for n in options.constants for v in CHOICES[n] if v != OWN[n])]
     judged = walked(feet, singles, options.jobs)
-    tried = {values: at for at, values in enumerate(singles)}
-    persons = sorted({(foot.data_set, foot.person) for foot in feet})
-    folds = {
-        person: _values(chosen(tried, judged, [k for k, f in enumerate(feet) if (f.data_set, f.person) != person]))
-        for person in persons
+    costs = {
+        values: {walker: together(judged[k][at] for k in its).cost for walker, its in walkers.items()}
+        for at, values in enumerate(singles)
     }
-    combined = sorted({*folds.values(), _values(OWN)})
+    folds = {walker: chosen(costs, options.constants, walker) for walker in walkers}
+    combined = sorted({*folds.values(), own})
     final = walked(feet, combined, options.jobs)
-    groups: dict[str, list[tuple[Foot, Judged, Judged]]] = defaultdict(list)
-    for foot, each in zip(feet, final, strict=True):
-        out, own = each[combined.index(folds[foot.data_set, foot.person])], each[combined.index(_values(OWN))]
-        groups[f"{foot.data_set}, {foot.part}"].append((foot, out, own))
-    table = Table("set", "feet", "strides", "left out: in order %", "worst foot", "false /100", "flat ms",
-                  "in sample: in order %", "worst foot", "false /100", "flat ms")  # fmt: skip
-    for name, rows in groups.items():
-        table.add_row(name, str(len(rows)), str(sum(out.strides for _, out, _ in rows)),
-                      *_cells([out for _, out, _ in rows]), *_cells([own for _, _, own in rows]))  # fmt: skip
+    rows = []
+    groups: dict[str, list[tuple[list[Judged], list[Judged]]]] = defaultdict(list)
+    for walker, its in walkers.items():
+        out, inside = ([final[k][combined.index(values)] for k in its] for values in (folds[walker], own))
+        groups[f"{walker[0]}, {feet[its[0]].part}"].append((out, inside))
+        rows += [
+            {"set": feet[k].data_set, "part": feet[k].part, "person": feet[k].person, "run": feet[k].run,
+             "sensor": feet[k].track.sensor, "left_out": vars(a), "own": vars(b)}
+            for k, a, b in zip(its, out, inside, strict=True)
+        ]  # fmt: skip
+    groups["all"] = [pair for group in groups.values() for pair in group]
+    table = Table(
+        "set", "walkers, feet", "strides", "", "in order %", "worst foot", "false /100", "flat ms",
+        *(f"{each.name} ms" for each in TIMED), "cost ms",
+        title="T1, T3, T4: size of a walker's median error, mean of walkers",
+    )  # fmt: skip
+    for name, group in groups.items():
+        size = f"{len(group)}, {sum(len(out) for out, _ in group)}"
+        strides = sum(foot.strides for out, _ in group for foot in out)
+        table.add_row(name, size, str(strides), "left out", *_cells([out for out, _ in group]))
+        table.add_row("", "", "", "in sample", *_cells([inside for _, inside in group]), end_section=True)
     console = console_of(170)
     console.print(table)
-    for name in CHOICES:
+    for name in options.constants:
         counts = Counter(dict(values)[name] for values in folds.values())
+        tried = [(v, list(costs[_values(OWN | {name: v})].values())) for v in CHOICES[name]]
         console.print(
             f"{name}: own {OWN[name]:g}; chosen " + ", ".join(f"{v:g} ({n})" for v, n in counts.most_common())
-        )
-    save([{"set": f.data_set, "part": f.part, "person": f.person, "run": f.run, "sensor": f.track.sensor,
-           "left_out": vars(out), "own": vars(own)} for rows in groups.values() for f, out, own in rows],
-         options.json)  # fmt: skip
+            + "; cost of all walkers " + ", ".join(f"{v:g}: {np.mean(cost):.1f}" for v, cost in tried)
+        )  # fmt: skip
+    save(rows, options.json)
     return 0
 
 
-def _cells(judged: list[Judged]) -> list[str]:
-    sound = [each for each in judged if each.strides]
-    flat = [each.flat_ms for each in judged if not np.isnan(each.flat_ms)]
+def _cells(walkers: list[list[Judged]]) -> list[str]:
+    persons, feet = [together(each) for each in walkers], [foot for each in walkers for foot in each]
+    flat = [ms for foot in feet for ms in foot.flat_ms]
+    off = [[x for x in (person.off_ms(each.name) for person in persons) if not np.isnan(x)] for each in TIMED]
+    every = together(feet)
     return [
-        f"{100.0 * sum(each.in_order for each in sound) / max(sum(each.strides for each in sound), 1):.2f}",
-        f"{min((100.0 * each.in_order / each.strides for each in sound), default=float('nan')):.1f}",
-        f"{100.0 * sum(e.false_swings for e in judged) / max(sum(e.swings for e in judged), 1):.2f}",
+        f"{100.0 * every.in_order / max(every.strides, 1):.2f}",
+        f"{min((100.0 * foot.in_order / foot.strides for foot in feet if foot.strides), default=float('nan')):.1f}",
+        f"{100.0 * every.false_swings / max(every.swings, 1):.2f}",
         f"{np.median(flat):.0f}" if flat else "–",
+        *(f"{np.mean(sizes):.0f}" if sizes else "–" for sizes in off),
+        f"{np.mean([person.cost for person in persons]):.1f}",
     ]
 
 

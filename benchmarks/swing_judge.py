@@ -141,14 +141,18 @@ class Labelled:
                 found[Transition.T1] = int(t_ns[flat[-1] + 1])
         return found
 
-    def stimulated_flat_s(self, changes: Sequence[PhaseChange], begin_ns: int, end_ns: int) -> float:
-        """Seconds of flat foot between T1 and T4 of the machine: stimulated by a channel for the swing."""
+    def flat_and_loading_s(self, changes: Sequence[PhaseChange], begin_ns: int, end_ns: int) -> tuple[float, float]:
+        """Seconds of flat foot that a channel from T1 to T4 of the machine stimulates, and of loading that it does not.
+
+        Loading is left where the machine is in stance already, or in pre-swing.
+        """
         first, last = np.searchsorted(self.t_ns, (begin_ns, end_ns))
-        t_ns = self.t_ns[first : last + 1]
+        label, lasts_ns = self.label[first:last], np.diff(self.t_ns[first : last + 1])
         phases = np.array([Phase.STANCE, *(change.destination for change in changes)])
-        phase = phases[np.searchsorted(np.array([c.t_ns for c in changes], np.int64), t_ns[:-1], side="right")]
-        on = (phase != Phase.STANCE) & (self.label[first:last] == FLAT)
-        return float(1e-9 * np.diff(t_ns)[on].sum())
+        at = np.searchsorted(np.array([c.t_ns for c in changes], np.int64), self.t_ns[first:last], side="right")
+        flat = (label == FLAT) & (phases[at] != Phase.STANCE)
+        left = (label == LOADING) & np.isin(phases[at], (Phase.STANCE, Phase.PRE_SWING))
+        return 1e-9 * float(lasts_ns[flat].sum()), 1e-9 * float(lasts_ns[left].sum())
 
 
 def runs(label: IntArray) -> list[tuple[int, int]]:
