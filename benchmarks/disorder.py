@@ -11,7 +11,8 @@ foot's sensor is worn, with this foot's calibration; the foot comes to shuffle. 
 
 A shuffle is made after what a severe foot of a stroke survivor showed: the foot stands 0.6–1.5 s, then is scraped along
 the floor for 2–4 s (*short shuffle*: 1–3 s), in slips of 2–12 cm and 0.15–0.35 s with rests of 0.05–0.5 s between
-them, turning about all three axes at 50–130 °/s at most. *Shuffle*: with the measures that such a foot's calibration has. *Shuffle after a walk*: by
+them, turning about all three axes at 50–130 °/s at most. *Shuffle*: with the measures that such a foot's calibration
+has. *Shuffle after a walk*: by
 the calibration of this foot's own walk, which comes first for 20 s; mostly the machine finds no swing in it then.
 
 Beside the strides: how many bursts may begin in the strides after the fifth, with this judge and without it.

@@ -188,9 +188,12 @@ def reversed_axis(calibration: Path, folder: Path) -> Path:
     stored = load(calibration)
     found: dict[str, Calibration] = {}
     for sensor, each in stored.calibrations.items():
-        axis = "toe_down" if isinstance(each, FootCalibration) else "left"
-        x, y, z = getattr(each, axis)
-        found[sensor] = replace(each, **{axis: (-x, -y, -z)})
+        x, y, z = each.toe_down if isinstance(each, FootCalibration) else each.left
+        reversed_to = (-x, -y, -z)
+        if isinstance(each, FootCalibration):
+            found[sensor] = replace(each, toe_down=reversed_to)
+        else:
+            found[sensor] = replace(each, left=reversed_to)
     target = folder / "reversed.calibration.json"
     save(SensorCalibrations(found, sides=stored.sides), target)
     return target
