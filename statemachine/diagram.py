@@ -59,7 +59,7 @@ def thresholds_table() -> str:
 
 def unit(name: str) -> str:
     """The unit that a threshold's name ends in; a share or a factor has none."""
-    return "1/s" if name.endswith("_per_s") else UNITS.get(name.rpartition("_")[2], "–")
+    return UNITS.get(name.rpartition("_")[2], "–")
 
 
 def generated() -> str:

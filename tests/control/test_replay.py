@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,10 +32,11 @@ from fes.calibration.recording import calibrate_phase_sensors, calibrate_track
 from fes.cli.replay.log import repeat
 from fes.cli.replay.preparation import prepared
 from fes.cohort.sweep.grid import Point, session_with
-from fes.config import Ground, load_session, validate_session
+from fes.config import ConfigError, Ground, load_session, validate_session
 from fes.control.replay import identity, refuse_long_silence, session_for
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import RecordingError, write_recording
+from fes.report.summary import summarise
 from fes.session_log import SessionLogError, SessionRecord, read_session
 from fes.session_log.framing import RecordType
 from fes.signals import NS_PER_S, ImuSample
@@ -230,6 +232,22 @@ def test_a_log_of_another_version_says_so(log: Path, tmp_path: Path) -> None:
 
     with pytest.raises(SessionLogError, match=r"cannot be replayed by fes .*replay its recording"):
         repeat(rewritten(log, tmp_path / "older.feslog", older))
+
+
+def test_a_log_whose_session_sets_a_threshold_that_is_gone_says_which(log: Path, tmp_path: Path) -> None:
+    """Its numbers are still there: only a replay needs the rule."""
+
+    def older(kind: int, payload: bytes) -> bytes:
+        set_there = {"struck_share": 0.03}
+        if kind != RecordType.HEADER:
+            return payload
+        header = json.loads(payload)
+        return json.dumps({**header, "session": {**header["session"], "thresholds": set_there}}).encode()
+
+    old = rewritten(log, tmp_path / "older.feslog", older)
+    with pytest.raises(ConfigError, match=r"older\.feslog: .*struck_share is no threshold any more"):
+        repeat(old)
+    assert summarise(read_session(old)).feet
 
 
 # --- preparing ----------------------------------------------------------------------------------------------
