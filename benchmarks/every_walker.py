@@ -35,7 +35,7 @@ import numpy as np
 from ankle import load_shanks
 from command_line import console_of, parser_of, save
 from event_cases import gaitmap_cases
-from real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
+from real_sets import PathWalk, Walk, gaitmap_walk, marker_strides, pyshoe_vicon, ruler_walks
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, load_run, track_of
 from swing_judge import IN_ORDER, Labelled, answered, fired_by_stride, in_order, labelled, pairs, score, swing_phases
@@ -66,8 +66,6 @@ SHORT_FLAT = ("H03",)  # T4 cannot be judged
 TIMES = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
 COSTS = ("flat_ms", "loading_left_ms")  # of a stride, by a channel from T1 to T4
 SPIKE_MPS2, SPIKE_RADPS = 400.0, 40.0
-HEEL_UP_M = 0.005  # T1 of markers, as the simulated truth has it
-STANCE_S = 1.5  # a stance on gaitmap's walk is shorter
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,31 +354,14 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
 
 
 def against_markers(found: Found, foot: Foot, changes: list[PhaseChange]) -> None:
-    """How much later than the markers' events T1, T2 and T3 are."""
-    known = {"T1": heel_rises_s(foot), "T2": foot.fo_s, "T3": foot.ic_s}
-    for name, known_s in known.items():
+    """How much later than the markers' T1 to T4 each is; heel rise by the simulated truth's 5 mm, flat by its 2°."""
+    assert isinstance(foot.walk, PathWalk)
+    strides = list(marker_strides(foot.walk, np.sort(foot.ic_s), np.sort(foot.fo_s)))
+    rise_s, flat_s = ([s[key] for s in strides if key in s] for key in ("t_pre_swing_s", "t_stance_s"))
+    for name, known_s in (("T1", rise_s), ("T2", foot.fo_s), ("T3", foot.ic_s), ("T4", flat_s)):
         times = np.array([1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name])
         nearest = [times[np.argmin(np.abs(times - t))] - t for t in known_s] if len(times) else []
         found.later_ms[name] = [1e3 * float(d) for d in nearest if abs(d) < 0.25]
-
-
-def heel_rises_s(foot: Foot) -> list[float]:
-    """When the heel marker leaves the least height of a stance by ``HEEL_UP_M``, for the last time before foot off.
-
-    Of the second half of the stance: at contact, under a foot that is pitched, the marker lies 10 mm lower than flat.
-    """
-    found: list[float] = []
-    walk = foot.walk
-    if not isinstance(walk, PathWalk):
-        return found
-    for off_s in foot.fo_s:
-        contacts = foot.ic_s[(foot.ic_s < off_s) & (foot.ic_s > off_s - STANCE_S)]
-        if len(contacts):
-            first, last = (round(t_s * walk.rate_hz) for t_s in (0.5 * (contacts[-1] + off_s), off_s))
-            height_m = walk.position_m[first : last + 1, 2]
-            down = np.flatnonzero(height_m <= np.nanmin(height_m) + HEEL_UP_M)
-            found.append((first + int(down[-1]) + 1) / walk.rate_hz)
-    return found
 
 
 def calibrated_elsewhere(found: Found, foot: Foot, swings: Swings, changes: list[PhaseChange]) -> None:

@@ -40,13 +40,12 @@ from every_walker import (
     calibrate,
     causal,
     feet_of,
-    pairs,
     swings_of,
 )
 from rich.table import Table
 from severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
 from stroke_treadmill import data_folder
-from swing_judge import score
+from swing_judge import pairs, score
 
 from fes.cohort.sweep.grid import Point
 from fes.cohort.sweep.task import with_thresholds

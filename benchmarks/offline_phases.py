@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -24,7 +24,7 @@ import numpy as np
 from bundled_trials import TRIALS
 from command_line import console_of, parser_of, save
 from every_walker import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
-from real_sets import PathWalk
+from real_sets import PathWalk, marker_strides
 from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import pairs
@@ -35,13 +35,11 @@ from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stanc
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.recording import Recording, read_recording
 from fes.recording.tracks import newer_samples
-from fes.signals import FloatArray
-from fes.simulation.truth import HEEL_UP_M, TILT_RAD, load_truth
+from fes.simulation.truth import load_truth
 from statemachine.phases import Transition
 
 FLAT_DEG, RISE_DEG = (2.0, 3.0, 5.0, 8.0), (1.0, 2.0, 3.0, 5.0)
 FAR_S = 0.4
-LONGEST_S = 1.2  # of a stance or swing of the gaitmap walk
 NAMES = ("negard_patient1", "negard_patient2", "both_feet_100hz", "both_feet_200hz", "misaligned", "soft_contact")
 ENTRIES = ("t_pre_swing", "t_swing", "t_loading_response", "t_stance")
 Later = dict[str, dict[tuple[str, float], list[float]]]  # by person, then rule and size: ms
@@ -101,35 +99,6 @@ def against_truth(result: Analysis, foot: str, true_s: Iterable[dict[str, float]
             low, middle, high = np.percentile(ms, (5, 50, 95)) if len(ms) else (np.nan,) * 3
             cells.append(f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]")
     return cells
-
-
-def marker_strides(walk: PathWalk, ic_s: FloatArray, fo_s: FloatArray) -> Iterator[dict[str, float]]:
-    """Of each foot off of the markers' its instants (s) by the names of a stride's columns, as far as they are seen."""
-    assert walk.frame is not None
-    height_m, forward = walk.position_m[:, 2], walk.frame[:, :, 0]
-    pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
-
-    def stance(begin_s: float, end_s: float) -> tuple[float, float]:
-        """Foot flat and heel rise within."""
-        first, last = round(begin_s * walk.rate_hz), round(end_s * walk.rate_hz)
-        middle = (first + last) // 2
-        low = np.abs(height_m - np.median(height_m[middle - 3 : middle + 4])) < HEEL_UP_M
-        flat = low & (np.abs(pitch - np.median(pitch[middle - 3 : middle + 4])) < TILT_RAD)
-        rolling, up = np.flatnonzero(~flat[first:middle]), np.flatnonzero(~low[middle:last])
-        begun = first + (rolling[-1] + 1 if len(rolling) else 0)
-        return begun / walk.rate_hz, (middle + up[0] if len(up) else last) / walk.rate_hz
-
-    for off_s in fo_s.tolist():
-        stride = {"t_swing_s": off_s}
-        before, after = ic_s[ic_s < off_s], ic_s[ic_s > off_s]
-        if len(before) and off_s - before[-1] < LONGEST_S:
-            stride["t_pre_swing_s"] = stance(before[-1], off_s)[1]
-        if len(after) and after[0] - off_s < LONGEST_S:
-            stride["t_loading_response_s"] = after[0]
-            following = fo_s[fo_s > after[0]]
-            if len(following) and following[0] - after[0] < LONGEST_S:
-                stride["t_stance_s"] = stance(after[0], following[0])[0]
-        yield stride
 
 
 def truth_table(data: Path) -> dict[str, list[str]]:

@@ -17,8 +17,10 @@ from stroke_treadmill import data_folder, load_run, track_of
 
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray, StrideResult
+from fes.simulation.truth import HEEL_UP_M, TILT_RAD
 
 STRAIGHT_RAD = 0.35
+LONGEST_S = 1.2  # of a stance or swing of the gaitmap walk
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,35 @@ def marker_frame(heel: FloatArray, toe: FloatArray, fifth: FloatArray) -> FloatA
     z /= np.linalg.norm(z, axis=1)[:, None]
     z *= np.sign(np.nanmedian(z[:, 2]))
     return np.stack([x, np.cross(z, x), z], axis=2)
+
+
+def marker_strides(walk: PathWalk, ic_s: FloatArray, fo_s: FloatArray) -> Iterator[dict[str, float]]:
+    """Of each foot off of the markers' its instants (s) by the names of a stride's columns, as far as they are seen."""
+    assert walk.frame is not None
+    height_m, forward = walk.position_m[:, 2], walk.frame[:, :, 0]
+    pitch = np.arctan2(forward[:, 2], np.hypot(forward[:, 0], forward[:, 1]))
+
+    def stance(begin_s: float, end_s: float) -> tuple[float, float]:
+        """Foot flat, and the last heel rise, within."""
+        first, last = round(begin_s * walk.rate_hz), round(end_s * walk.rate_hz)
+        middle = (first + last) // 2
+        low = np.abs(height_m - np.median(height_m[middle - 3 : middle + 4])) < HEEL_UP_M
+        flat = low & (np.abs(pitch - np.median(pitch[middle - 3 : middle + 4])) < TILT_RAD)
+        rolling, down = np.flatnonzero(~flat[first:middle]), np.flatnonzero(low[middle:last])
+        begun = first + (rolling[-1] + 1 if len(rolling) else 0)
+        return begun / walk.rate_hz, (middle + down[-1] + 1) / walk.rate_hz
+
+    for off_s in fo_s.tolist():
+        stride = {"t_swing_s": off_s}
+        before, after = ic_s[ic_s < off_s], ic_s[ic_s > off_s]
+        if len(before) and off_s - before[-1] < LONGEST_S:
+            stride["t_pre_swing_s"] = stance(before[-1], off_s)[1]
+        if len(after) and after[0] - off_s < LONGEST_S:
+            stride["t_loading_response_s"] = after[0]
+            following = fo_s[fo_s > after[0]]
+            if len(following) and following[0] - after[0] < LONGEST_S:
+                stride["t_stance_s"] = stance(after[0], following[0])[0]
+        yield stride
 
 
 def _two_header_lines(path: Path) -> dict[tuple[str, str], FloatArray]:
