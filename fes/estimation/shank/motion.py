@@ -239,7 +239,7 @@ SHARES = {  # where a shank is not as a foot: it leans on through contact and st
     "longest_loading": 1.0,
 }
 LEAST_JOLT_MPS3 = 500.0
-NEVER = Thresholds(push_off_radps=math.inf, fall_radps=math.inf, contact_jerk_mps3=math.inf, stride_s=math.inf)
+NEVER = Thresholds(push_off_radps=math.inf, fall_radps=math.inf, contact_jerk_mps3=math.inf, put_back=math.inf)
 
 
 @dataclass(frozen=True, slots=True)
