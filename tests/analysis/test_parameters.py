@@ -390,7 +390,7 @@ def test_the_mean_stride_begins_and_ends_on_the_ground(analysed, walk):
         assert len(one.rows()) == len(one.mean)
 
 
-@pytest.mark.parametrize("seconds", [4.5, 9.0])
+@pytest.mark.parametrize("seconds", [4.5, 8.0])
 def test_a_recording_with_hardly_a_stride_has_few_parameters_and_no_error(analysed, seconds):
     tracks = {}
     for name, track in analysed.recording.tracks.items():

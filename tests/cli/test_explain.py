@@ -193,7 +193,7 @@ def once(number: int, *events: Event) -> list[Event]:
 def unasked(sample: ImuSample, number: int) -> list[Event]:
     """Pulses counted in stance, long after the burst."""
     more = replace(status(on=False, current_ma=0.0, pulses=12), t_ns=sample.t_ns)
-    return [sample, more] if number == 700 else [sample]
+    return [sample, more] if number == 800 else [sample]
 
 
 def silent_in_stance(sample: ImuSample, number: int) -> list[Event]:
