@@ -102,6 +102,7 @@ class WalkingJudge:
         self._stance_ns: int | None = None
         self._stances_s: deque[float] = deque(maxlen=REMEMBERED_STANCES)
         self._lengths_m: deque[float] = deque(maxlen=REMEMBERED_LENGTHS)  # of good strides, not of curves
+        self._short_s: float | None = None  # the stance before this pre-swing, where it seemed too short for one
         self._standing = True  # until a swing; again where a stance, or any other phase, lasts
         self.order = OrderJudge(settings.min_stride_length_m)
         self._begun_ns, self._longest_ns = 0, LONGEST_NS  # of what must end by then, or the foot stands
@@ -156,6 +157,10 @@ class WalkingJudge:
             permitted = self._end_of_stance(1.0 / NS_PER_S * (change.t_ns - self._stance_ns))
         if change.destination is Phase.SWING:
             self._standing = False
+            if self._short_s is not None:  # a swing came of it: a stance after all, shorter than those before
+                self._stances_s.append(self._short_s)
+        if change.source is Phase.PRE_SWING:
+            self._short_s = None
         self._begun_ns, self._longest_ns = change.t_ns, LONGEST_NS
         if change.destination is STANCE and self._stance_ns is not None:
             self._begun_ns, self._longest_ns = self._stance_ns, round(NS_PER_S * self._longest_stance_s())
@@ -167,6 +172,7 @@ class WalkingJudge:
         if stance_s > max(longest_s, PAUSE_S):
             self._lapse(f"stood for {stance_s:.1f} s")
         elif self._stances_s and stance_s < SHORT_STANCE_SHARE * _median(self._stances_s):
+            self._short_s = stance_s
             return False  # the foot stirs after it has landed; the real heel rise is still to come
         if self._good_strides and stance_s <= longest_s:
             self._stances_s.append(stance_s)

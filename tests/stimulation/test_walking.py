@@ -299,6 +299,14 @@ def stands_from(judged: Judged, at_most_s: float = 10.0) -> float:
     return judged.now_s - began_s
 
 
+def test_who_walks_faster_after_one_long_stance_is_permitted_from_the_next_stride_on() -> None:
+    """The stance after the first step of all is a standing one; a swing that follows a shorter one tells."""
+    judged = Judged(strides_before_start=1)
+    judged.step()
+    judged.step(stride(), stance_s=1.5)
+    assert [judged.step(stride(), stance_s=0.4) for _ in range(4)] == [False, True, True, True]
+
+
 def test_a_stance_that_lasts_ends_walking_though_no_step_comes() -> None:
     judged = walking()  # with stances of half a second
     assert stands_from(judged) == pytest.approx(0.9, abs=0.02)
