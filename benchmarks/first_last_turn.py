@@ -41,7 +41,6 @@ from fes.simulation.forward import PatientSettings, VirtualPatient, draw_patient
 from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.forward.draw import draw_movement
 from fes.simulation.truth import Truth, load_truth
-from statemachine.guards import Thresholds
 from statemachine.phases import PhaseChange
 
 NEAR_S = 0.2
@@ -264,10 +263,9 @@ class Trace:
 def held_by(x: Any, p: Any) -> list[str]:
     """Which of T3's conditions on the swing before do not hold."""
     rate = max(float(p["push_off_radps"]), 0.5 * float(p["fall_radps"]))
-    usual = p["swing_s"] if "swing_s" in Thresholds._fields else min(p["stride_s"], p["longest_swing_stride_s"])
     found = []
-    if x.in_swing_s < p["shortest_swing"] * usual:
-        found.append("shortest_swing")
+    if x.in_swing_s < p["shortest_swing_share"] * p["swing_s"]:
+        found.append("shortest_swing_share")
     fell = x.toe_down_peak_radps + x.toe_up_peak_radps
     if fell < p["mid_swing_share"] * p["fall_radps"] and x.toe_up_peak_radps < p["toe_up_share"] * rate:
         found.append("mid_swing_share")

@@ -64,15 +64,15 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "swung_share": (0.4, 0.45, 0.5),
     "swung_after_s": (0.2, 0.25, 0.3),
     "push_off_share": (0.3, 0.4, 0.5),
-    "shortest_swing": (0.5, 0.6, 0.7),
+    "shortest_swing_share": (0.5, 0.6, 0.7),
     "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
     "rising_share": (0.25, 0.4, 0.6),
     "jerk_share": (0.15, 0.2, 0.3, 0.4),
     "rest_share": (0.12, 0.15, 0.18, 0.22),
-    "soft_contact": (0.2, 0.3, 0.4),
+    "soft_contact_share": (0.2, 0.3, 0.4),
     "flat_rad": (0.02, 0.03, 0.045),
     "settled_share": (0.35, 0.45, 0.55),
-    "longest_loading": (1.5, 2.0, 3.0),
+    "longest_loadings": (1.5, 2.0, 3.0),
 }
 CALIBRATION: dict[str, tuple[float, ...]] = {
     "FALL_SHARE": (0.35, 0.45, 0.55),

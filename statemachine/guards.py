@@ -71,12 +71,12 @@ class Thresholds(NamedTuple):
     push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     carried_share: float = 0.1  # T2: carried along, a foot swings as soon as it turns toe-up above this rate
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
-    shortest_swing: float = 0.6  # T3: of this person's own swing; the jolts of foot off end before
+    shortest_swing_share: float = 0.6  # T3: of this person's own swing; the jolts of foot off end before
     mid_swing_share: float = 0.65  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
     rising_share: float = 0.4  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
     landed_share: float = 0.15  # T3, T4: a foot that has landed turns at this rate
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
-    soft_contact: float = 0.3  # T3: after so long at rest, of the swing, it has landed without a jolt, …
+    soft_contact_share: float = 0.3  # T3: after so long at rest, of the swing, it has landed without a jolt, …
     soft_contact_s: float = 0.04  # … or after so long with nothing but gravity upon it
     shortest_loading_s: float = 0.03  # T4: a contact's jolt ends before
     flat_rad: float = 0.03  # T4: the foot is within 1.7° of flat, …
@@ -84,8 +84,8 @@ class Thresholds(NamedTuple):
     settled_share: float = 0.45  # … its rate has died away to this share of its peak since contact, …
     near_sds: float = 3.0  # … within so many standard deviations of flat, or …
     settled_after_s: float = 0.08  # … it has stood still for so long, or …
-    longest_loading: float = 2.0  # … so many of this person's own loading responses have passed
-    put_back: float = 0.8  # T5, T6: at rest for this share of the swing
+    longest_loadings: float = 2.0  # … so many of this person's own loading responses have passed
+    put_back_share: float = 0.8  # T5, T6: at rest for this share of the swing
 
 
 def t1(x: Features, p: Thresholds) -> bool:
@@ -132,7 +132,7 @@ def t3(x: Features, p: Thresholds) -> bool:
     The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. It knows no soft contact.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    if x.in_swing_s < p.shortest_swing * p.swing_s:
+    if x.in_swing_s < p.shortest_swing_share * p.swing_s:
         return False
     if (
         x.toe_down_peak_radps + x.toe_up_peak_radps < p.mid_swing_share * p.fall_radps
@@ -145,7 +145,7 @@ def t3(x: Features, p: Thresholds) -> bool:
         or (
             not x.travelling
             and (
-                x.resting_s > p.soft_contact * p.swing_s
+                x.resting_s > p.soft_contact_share * p.swing_s
                 or (x.resting_s > p.soft_contact_s and x.calm_s > p.soft_contact_s)
             )
         )
@@ -168,13 +168,13 @@ def t4(x: Features, p: Thresholds) -> bool:
             and abs(x.pitch_rad) < p.near_sds * x.pitch_sd_rad
         )
         or x.settled_s > p.settled_after_s
-        or x.since_contact_s > p.longest_loading * p.loading_s
+        or x.since_contact_s > p.longest_loadings * p.loading_s
     )
 
 
 def t5(x: Features, p: Thresholds) -> bool:
     """Pre-swing → stance: the heel was lifted and put back."""
-    return x.resting_s > p.put_back * p.swing_s and not x.travelling
+    return x.resting_s > p.put_back_share * p.swing_s and not x.travelling
 
 
 def t6(x: Features, p: Thresholds) -> bool:
@@ -182,4 +182,4 @@ def t6(x: Features, p: Thresholds) -> bool:
 
     The paper asks for no duration; a slow swing comes to a halt above the ground before it lands, so rest must last.
     """
-    return x.resting_s > p.put_back * p.swing_s and not x.travelling
+    return x.resting_s > p.put_back_share * p.swing_s and not x.travelling

@@ -16,7 +16,7 @@ from statemachine.guards import Thresholds
 ORIGIN: Final = "origin"
 GONE: Final = frozenset(  # in sessions and logs of former versions
     ("push_off_again", "longest_swing_stride_s", "struck_share", "struck_per_s", "shortest_loading", "flat_share",
-     "longest_loading_stride_s")
+     "longest_loading_stride_s", "longest_loading", "shortest_swing", "soft_contact", "put_back")
 )  # fmt: skip
 LEAST, MOST = 0.25, 4.0  # times the default, or what holds anyway: further off no gait was seen
 _TABLE: Final = re.compile(r"^[ \t]*\[thresholds\][^\n]*\n(?:(?![ \t]*\[)[^\n]*(?:\n|\Z))*", re.MULTILINE)
@@ -37,7 +37,7 @@ def changed_thresholds(own: Thresholds, changes: Mapping[str, Value]) -> Thresho
         if name == ORIGIN:
             continue
         if name in GONE:
-            raise ValueError(f"{name} is no threshold any more; its rule is gone (docs/phases.md has those there are)")
+            raise ValueError(f"{name} is no threshold any more; its rule is gone or has another name (docs/phases.md)")
         if name not in now:
             near = difflib.get_close_matches(name, now, 1)
             raise ValueError(f"{name} is no threshold{f'; perhaps {near[0]}?' if near else ''}")

@@ -25,9 +25,7 @@ from fes.signals import StrideResult
 from statemachine.phases import PhaseChange, Transition
 
 LAST: Final = 6  # swings
-POOR: Final = (
-    4  # of them: a stumble, a turn on the spot and a first step are three; all of a foot not seen are told in 4
-)
+POOR: Final = 4  # of them: a stumble, a turn on the spot and a first step are three
 AGAIN: Final = 3
 TRAVELS_M: Final = 0.1  # the shortest steady walkers (S07, S19 of the stroke walks) make 0.12 m and more in nine of ten
 UNEVEN: Final = 0.25  # of the usual cycle: on a belt 99 of 100 cycles of the sound are within 0.1, a shuffle's half

@@ -163,13 +163,13 @@ def test_a_combination_changes_what_it_names_and_nothing_else(tmp_path: Path) ->
 
 def test_thresholds_by_value_by_factor_and_of_the_wrong_kind() -> None:
     own = Thresholds(rest_share=0.1)
-    new = change_thresholds(own, {"rest_share": Factor(1.2), "shortest_swing": 0.2, "swing_at_reversal": True})
-    assert new == own._replace(rest_share=0.12, shortest_swing=0.2, swing_at_reversal=True)
+    new = change_thresholds(own, {"rest_share": Factor(1.2), "shortest_swing_share": 0.2, "swing_at_reversal": True})
+    assert new == own._replace(rest_share=0.12, shortest_swing_share=0.2, swing_at_reversal=True)
     for wrong in (
-        {"shortest_swing": "soon"},
-        {"shortest_swing": True},
+        {"shortest_swing_share": "soon"},
+        {"shortest_swing_share": True},
         {"swing_at_reversal": 1},
-        {"shortest_swing": -1.0},
+        {"shortest_swing_share": -1.0},
     ):
         with pytest.raises(CohortError, match="must be"):
             change_thresholds(own, dict(wrong))

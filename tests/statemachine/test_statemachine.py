@@ -46,8 +46,10 @@ UP_RADPS = P.fall_radps - RATE
 SWUNG = P.swung_share * P.fall_radps
 JERK_MPS3 = P.jerk_share * P.contact_jerk_mps3
 RISE_AFTER_S, TOE_UP_AFTER_S = P.heel_rise_after * P.stride_s, P.toe_up_after * P.stride_s
-SWING_S, SOFT_S, PUT_BACK_S = (share * P.swing_s for share in (P.shortest_swing, P.soft_contact, P.put_back))
-LOADED_S = P.longest_loading * P.loading_s
+SWING_S, SOFT_S, PUT_BACK_S = (
+    share * P.swing_s for share in (P.shortest_swing_share, P.soft_contact_share, P.put_back_share)
+)
+LOADED_S = P.longest_loadings * P.loading_s
 LANDED, WEAK_LANDED = P.landed_share * RATE, P.landed_share * WEAK_RATE
 HEEL_RISE = NOTHING._replace(
     toe_down_radps=2.0 * P.heel_rise_share * RATE,
@@ -410,7 +412,7 @@ def test_compiled_guards_are_the_table_on_an_exhaustive_grid() -> None:
 MEASURES = (  # no limits by themselves
     "push_off_radps", "fall_radps", "stride_s", "swing_s", "loading_s", "contact_jerk_mps3"
 )  # fmt: skip
-MULTIPLES = ("near_sds", "longest_loading")  # which may be more than one
+MULTIPLES = ("near_sds", "longest_loadings")  # which may be more than one
 PHASES_MD = Path(__file__).resolve().parents[2] / "docs" / "phases.md"
 
 

@@ -24,6 +24,7 @@ from fes.estimation.foot.movements import closures, contact_jumps, follow, movin
 from fes.estimation.numerics.filters import falls_apart
 from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.rotation import cross, without
+from fes.estimation.tracking.phase_features import usual_swing_s
 from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import FORMER_NAMES, Thresholds
@@ -113,6 +114,7 @@ class FootCalibration:
             push_off_radps=self.push_off_radps,
             fall_radps=self.fall_radps,
             stride_s=self.stride_s,
+            swing_s=usual_swing_s(self.stride_s),
             contact_jerk_mps3=self.contact_jerk_mps3,
             swing_at_reversal=swing_at_reversal,
         )

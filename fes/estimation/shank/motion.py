@@ -30,6 +30,7 @@ from fes.estimation.numerics.rotation import from_gravity
 from fes.estimation.shank import features
 from fes.estimation.shank.features import ShankParameters
 from fes.estimation.strides.integration import double_integral, integrate, orient
+from fes.estimation.tracking.phase_features import usual_swing_s
 from fes.signals import G_MPS2, FloatArray, IntArray
 from statemachine.guards import Thresholds
 
@@ -236,10 +237,10 @@ SHARES = {  # where a shank is not as a foot: it leans on through contact and st
     "settling_s": 0.0,
     "settled_share": 0.0,
     "settled_after_s": 0.03,
-    "longest_loading": 1.0,
+    "longest_loadings": 1.0,
 }
 LEAST_JOLT_MPS3 = 500.0
-NEVER = Thresholds(push_off_radps=math.inf, fall_radps=math.inf, contact_jerk_mps3=math.inf, put_back=math.inf)
+NEVER = Thresholds(push_off_radps=math.inf, fall_radps=math.inf, contact_jerk_mps3=math.inf, put_back_share=math.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,6 +272,7 @@ class ShankLevels:
             push_off_radps=self.push_off_radps,
             fall_radps=self.fall_radps,
             stride_s=self.stride_s,
+            swing_s=usual_swing_s(self.stride_s),
             contact_jerk_mps3=self.contact_jolt_mps3,
             rest_share=self.rest_lean_radps / rate,
             heel_rise_share=self.heel_rise_radps / rate,

@@ -58,12 +58,16 @@ FIELDS: list[Any] = [
 ]
 
 
+def usual_swing_s(stride_s: float) -> float:
+    """How long a swing may be taken to last (s) of whom the stride time is known and no swing was seen yet."""
+    return min(USUAL_SWING * stride_s, MOST_USUAL_SWING_S)
+
+
 @jit_ieee
 def start_phases(core: Record, t_ns: int) -> None:
     """Begin in stance at the first sample, with this person's measures as calibrated."""
     state, thresholds = core.state, core.thresholds
     if state.calibrated.stride_s == 0.0:
-        thresholds.swing_s = min(USUAL_SWING * thresholds.stride_s, MOST_USUAL_SWING_S)
         known = state.calibrated
         known.push_off_radps, known.fall_radps = thresholds.push_off_radps, thresholds.fall_radps
         known.stride_s, known.swing_s, known.loading_s = thresholds.stride_s, thresholds.swing_s, thresholds.loading_s
