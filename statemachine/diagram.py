@@ -14,7 +14,7 @@ from pathlib import Path
 from statemachine.guards import Thresholds
 from statemachine.phases import Phase
 from statemachine.table import TABLE, Row
-from statemachine.terms import UNITS
+from statemachine.terms import unit
 
 BEGIN = "<!-- begin: written by `python -m statemachine.diagram --write docs/phases.md` -->"
 END = "<!-- end -->"
@@ -55,11 +55,6 @@ def thresholds_table() -> str:
         shown = ("no", "yes")[value] if isinstance(value, bool) else f"{value:g}"
         lines.append(f"| `{name}` | {shown} | {unit(name)} | {used} | {_cell(meaning)} |")
     return "\n".join(lines)
-
-
-def unit(name: str) -> str:
-    """The unit that a threshold's name ends in; a share or a factor has none."""
-    return UNITS.get(name.rpartition("_")[2], "–")
 
 
 def generated() -> str:

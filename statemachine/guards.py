@@ -1,15 +1,21 @@
 """The six guards T1–T6 as pure predicates over one sample's features.
 
-Plain functions of plain numbers: ``transitions`` calls them as they are, and the estimation core compiles the very same
-functions. Source: Negård et al. (2005), "Gait Phases Detection": which phase may follow which, and what is looked at.
+Plain functions of plain numbers, each of a few named clauses: ``transitions`` calls them as they are, the estimation
+core compiles the very same functions, and ``statemachine/terms.py`` calls them with numbers that remember of what they
+are made. So every comparison is made whenever a guard is asked: clauses are joined by ``&`` and ``|``, a flag is
+compared with ``YES`` or ``NO``, and there is no early return.
+
+Source: Negård et al. (2005), "Gait Phases Detection": which phase may follow which, and what is looked at.
 Departure: all limits are shares of this person's own push-off, fall from push-off to mid-swing, times and jump of the
 force at contact, so that one setting holds for a healthy walker in a hurry and for a foot that shuffles or drags,
 and at every sampling rate. How long a swing or a loading response may last is told by this person's own, never by the
 stride: who is slow stands longer and need not swing longer.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+YES: Final = True
+NO: Final = False
 FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": "contact_jerk_mps3"}  # in old files
 
 
@@ -95,15 +101,14 @@ def t1(x: Features, p: Thresholds) -> bool:
     last stood still decides, and that it goes on turning.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    return (
-        (
-            x.toe_down_radps > p.heel_rise_share * rate
-            and x.turned_rad > p.heel_rise_rad
-            and x.since_contact_s > p.heel_rise_after * p.stride_s
-        )
-        or (-x.toe_down_radps > p.toe_up_share * rate and x.since_contact_s > p.toe_up_after * p.stride_s)
-        or (-x.toe_down_radps > p.swung_share * p.fall_radps and x.since_contact_s > p.swung_after_s)
+    heel_rises = (
+        (x.toe_down_radps > p.heel_rise_share * rate)
+        & (x.turned_rad > p.heel_rise_rad)
+        & (x.since_contact_s > p.heel_rise_after * p.stride_s)
     )
+    dragged_off = (-x.toe_down_radps > p.toe_up_share * rate) & (x.since_contact_s > p.toe_up_after * p.stride_s)
+    swings = (-x.toe_down_radps > p.swung_share * p.fall_radps) & (x.since_contact_s > p.swung_after_s)
+    return heel_rises | dragged_off | swings
 
 
 def t2(x: Features, p: Thresholds) -> bool:
@@ -115,15 +120,14 @@ def t2(x: Features, p: Thresholds) -> bool:
     like those without: where the foot travels, its turn alone decides.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    return (
-        (
-            x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps
-            and x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps
-            and (x.toe_down_radps < 0.0 or not p.swing_at_reversal)
-        )
-        or -x.toe_down_radps > p.toe_up_share * rate
-        or (x.travelling and -x.toe_down_radps > p.carried_share * rate)
+    pushed_off = (
+        (x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps)
+        & (x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps)
+        & ((x.toe_down_radps < 0.0) | (p.swing_at_reversal == NO))
     )
+    dragged_off = -x.toe_down_radps > p.toe_up_share * rate
+    carried = (x.travelling == YES) & (-x.toe_down_radps > p.carried_share * rate)
+    return pushed_off | dragged_off | carried
 
 
 def t3(x: Features, p: Thresholds) -> bool:
@@ -132,24 +136,18 @@ def t3(x: Features, p: Thresholds) -> bool:
     The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. It knows no soft contact.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    if x.in_swing_s < p.shortest_swing_share * p.swing_s:
-        return False
-    if (
-        x.toe_down_peak_radps + x.toe_up_peak_radps < p.mid_swing_share * p.fall_radps
-        and x.toe_up_peak_radps < p.toe_up_share * rate
-    ) or -x.toe_down_radps >= p.rising_share * x.toe_up_peak_radps:
-        return False
-    return (
-        x.toe_down_radps > p.landed_share * rate
-        or x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
-        or (
-            not x.travelling
-            and (
-                x.resting_s > p.soft_contact_share * p.swing_s
-                or (x.resting_s > p.soft_contact_s and x.calm_s > p.soft_contact_s)
-            )
-        )
+    long_enough = x.in_swing_s >= p.shortest_swing_share * p.swing_s
+    mid_swing_seen = (x.toe_down_peak_radps + x.toe_up_peak_radps >= p.mid_swing_share * p.fall_radps) | (
+        x.toe_up_peak_radps >= p.toe_up_share * rate
     )
+    mid_swing_over = -x.toe_down_radps < p.rising_share * x.toe_up_peak_radps
+    turned_down = x.toe_down_radps > p.landed_share * rate
+    jolted = x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
+    lies = (x.resting_s > p.soft_contact_share * p.swing_s) | (
+        (x.resting_s > p.soft_contact_s) & (x.calm_s > p.soft_contact_s)
+    )
+    landed = turned_down | jolted | (lies & (x.travelling == NO))
+    return long_enough & mid_swing_seen & mid_swing_over & landed
 
 
 def t4(x: Features, p: Thresholds) -> bool:
@@ -160,21 +158,21 @@ def t4(x: Features, p: Thresholds) -> bool:
     known after a swing differs from sensor to sensor, so it says itself how much it counts.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    return x.since_contact_s > p.shortest_loading_s and (
-        abs(x.pitch_rad) + p.settling_s * abs(x.toe_down_radps) < p.flat_rad
-        or (
-            x.landing_peak_radps > p.landed_share * rate
-            and abs(x.toe_down_radps) < p.settled_share * x.landing_peak_radps
-            and abs(x.pitch_rad) < p.near_sds * x.pitch_sd_rad
-        )
-        or x.settled_s > p.settled_after_s
-        or x.since_contact_s > p.longest_loadings * p.loading_s
+    jolt_over = x.since_contact_s > p.shortest_loading_s
+    flat = abs(x.pitch_rad) + p.settling_s * abs(x.toe_down_radps) < p.flat_rad
+    settled = (
+        (x.landing_peak_radps > p.landed_share * rate)
+        & (abs(x.toe_down_radps) < p.settled_share * x.landing_peak_radps)
+        & (abs(x.pitch_rad) < p.near_sds * x.pitch_sd_rad)
     )
+    stands = x.settled_s > p.settled_after_s
+    overdue = x.since_contact_s > p.longest_loadings * p.loading_s
+    return jolt_over & (flat | settled | stands | overdue)
 
 
 def t5(x: Features, p: Thresholds) -> bool:
     """Pre-swing → stance: the heel was lifted and put back."""
-    return x.resting_s > p.put_back_share * p.swing_s and not x.travelling
+    return (x.resting_s > p.put_back_share * p.swing_s) & (x.travelling == NO)
 
 
 def t6(x: Features, p: Thresholds) -> bool:
@@ -182,4 +180,4 @@ def t6(x: Features, p: Thresholds) -> bool:
 
     The paper asks for no duration; a slow swing comes to a halt above the ground before it lands, so rest must last.
     """
-    return x.resting_s > p.put_back_share * p.swing_s and not x.travelling
+    return (x.resting_s > p.put_back_share * p.swing_s) & (x.travelling == NO)

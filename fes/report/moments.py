@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,7 +18,7 @@ from fes.walk_record import WalkRecord
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, Transition
 from statemachine.table import TABLE
-from statemachine.terms import FLAG, Comparison, Comparisons, comparisons_of
+from statemachine.terms import FLAG, Term, Terms, terms_of
 
 if TYPE_CHECKING:
     from fes.evaluation.guard_trace import GuardTrace
@@ -33,18 +35,18 @@ def moment_data(data: ReportData) -> dict[str, Any]:
         from fes.evaluation.guard_trace import guard_traces  # here, for it takes a second to load
 
         traces = guard_traces(data.record)
+    numbers, nothing = count(), Features._make([0.0] * len(Features._fields))
     return {
         "guards": [
             {
                 "name": row.transition.name,
                 "from": readable(row.source.name.lower()),
-                "terms": _plain(comparisons_of(row.guard)),
+                "terms": _plain(terms_of(row.guard, nothing, Thresholds()), numbers),
             }
             for row in TABLE
         ]
         if traces
         else [],
-        "features": Features._fields,
         "transitions": [each.name for each in Transition],
         "phases": [readable(phase.name.lower()) for phase in Phase],
         "feet": {readable(trace.sensor): _foot(trace, origin_ns) for trace in traces},
@@ -58,30 +60,48 @@ def moment_data(data: ReportData) -> dict[str, Any]:
     }
 
 
-def _plain(terms: Comparison | Comparisons) -> dict[str, Any]:
-    if isinstance(terms, Comparisons):
-        return {"every": terms.every, "parts": [_plain(part) for part in terms.parts]}
+def _plain(terms: Term | Terms, numbers: Iterator[int]) -> dict[str, Any]:
+    """What of the terms is the same at every sample; each comparison has its number."""
+    if isinstance(terms, Terms):
+        return {"every": terms.every, "parts": [_plain(part, numbers) for part in terms.parts]}
     unit = "" if terms.unit in (FLAG, "–") else terms.unit
-    shown = {"what": terms.what, "sign": terms.sign, "of": terms.limit_is, "unit": unit, "flag": terms.unit == FLAG}
-    return shown | {"seen": terms.seen, "limit": terms.limit}
+    return {"number": next(numbers), "what": terms.what, "sign": terms.sign, "unit": unit, "flag": terms.unit == FLAG}
 
 
 def _foot(trace: GuardTrace, origin_ns: int) -> dict[str, Any]:
-    """A foot's kept samples; times and features as base64 of little-endian numbers of 64 and 32 bits."""
-    before: dict[str, Any] = {}
-    limits = []
-    for row, thresholds in trace.thresholds:  # all at first, then what has changed
-        now = thresholds._asdict()
-        limits.append([row, {name: value for name, value in now.items() if before.get(name) != value}])
+    """A foot's kept samples, packed: of each comparison what was seen, the limit, of what that is, and whether it held.
+
+    The comparisons' ``columns`` (seen of all, then limits of all) are indices into ``values``, of which each has a
+    number a sample, or, where that says the same, a number each time that thresholds change. ``holds`` has a bit for
+    each comparison. ``limit_is``: from which row on, what differs from before.
+    """
+    begins, samples = [row for row, _ in trace.thresholds], len(trace.t_ns)
+    blocks, limit_is, before = [], [], list[str]()
+    for (row, thresholds), end in zip(trace.thresholds, [*begins[1:], samples], strict=True):
+        x = Features(*trace.features[row:end].T)
+        terms = [term for guard in TABLE for term in terms_of(guard.guard, x, thresholds).each()]
+        kinds = [term.seen for term in terms], [term.limit for term in terms], [term.holds for term in terms]
+        blocks.append(np.array([np.broadcast_to(each, end - row) for kind in kinds for each in kind]))
+        now = [term.limit_is for term in terms]
+        limit_is.append([row, {k: words for k, words in enumerate(now) if [words] != before[k : k + 1]}])
         before = now
-    assert set(before) == set(Thresholds._fields)
+    each = np.concatenate(blocks, axis=1).astype("<f4")
+    values: dict[bytes, int] = {}
+    columns = []
+    for column in each[: 2 * len(before)]:
+        few = column[begins]
+        same = np.array_equal(np.repeat(few, np.diff([*begins, samples])), column)
+        columns.append(values.setdefault((few if same else column).tobytes(), len(values)))
     return {
         "foot": readable(trace.foot),
         "t_s": _packed((trace.t_ns - origin_ns) / NS_PER_S, "<f8"),
         "phase": _packed(trace.phase, "<i1"),
         "fired": _packed(trace.fired, "<i1"),
-        "features": _packed(trace.features, "<f4"),
-        "thresholds": limits,
+        "columns": columns,
+        "values": [base64.b64encode(value).decode("ascii") for value in values],
+        "holds": _packed(np.packbits(each[2 * len(before) :].astype(bool), axis=0, bitorder="little").T, "u1"),
+        "begins": begins,
+        "limit_is": [each for each in limit_is if each[1]],
         "walking": trace.walking,
         "same": trace.same,
     }

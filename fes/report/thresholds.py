@@ -13,7 +13,7 @@ from fes.estimation.tracking.phase_features import LEAST, MEASURES, MOST
 from fes.report.quality import THRESHOLDS
 from fes.walk_record import WalkRecord
 from statemachine.guards import Thresholds
-from statemachine.terms import UNITS
+from statemachine.terms import unit
 
 _VALUE: Final = re.compile(r"(\w+) ([-+.\de]+)")
 
@@ -53,9 +53,8 @@ def measure_rows(record: WalkRecord, settings: Session | None) -> tuple[MeasureR
         for name, _ in MEASURES if own is not None else ():
             begin = float(getattr(own, name))
             seen = values.get((sensor, name), [])
-            unit = UNITS.get(name.rpartition("_")[2], "")
             ends = min(seen, default=begin), max(seen, default=begin), seen[-1] if seen else begin
-            rows.append(MeasureRow(sensor, name, unit, begin, (LEAST * begin, MOST * begin), len(seen), *ends))
+            rows.append(MeasureRow(sensor, name, unit(name), begin, (LEAST * begin, MOST * begin), len(seen), *ends))
     return tuple(rows)
 
 

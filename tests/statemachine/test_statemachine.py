@@ -15,12 +15,13 @@ import numba
 import numpy as np
 import pytest
 
-from fes.estimation.foot import features as kernel
+from fes.estimation.tracking import first_transition as kernel
 from statemachine import diagram, guards
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine, GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE
+from statemachine.terms import UNITS, unit
 
 P = Thresholds(push_off_radps=8.0, fall_radps=12.0)  # a push-off that is more than half the fall
 FOOT = "left_foot"
@@ -36,7 +37,7 @@ NetworkGuard: TypeAlias = Callable[[Features, Thresholds], bool]
 GUARDS: dict[Transition, NetworkGuard] = {row.transition: row.guard for row in TABLE}
 
 # one set of features per guard under which it is true
-NOTHING = Features(*[0.0] * 13, travelling=False)._replace(pitch_rad=1.0)
+NOTHING = Features._make([0.0] * len(Features._fields))._replace(pitch_rad=1.0, travelling=False)
 RATE, WEAK_RATE = P.push_off_radps, 0.5 * P.fall_radps
 WEAK: dict[str, Any] = {"push_off_radps": 2.0}
 LEAST_PEAK, LEAST_FALL = P.push_off_share * P.push_off_radps, P.mid_swing_share * P.fall_radps
@@ -184,7 +185,7 @@ def test_guard_clause(transition: Transition, about: str, differs: dict[str, Any
 
 
 class _Mutation(ast.NodeTransformer):
-    """Change one place of a guard: leave out a clause, a refusal, a ``not``, one of two bounds, a minus sign, or let a
+    """Change one place of a guard: leave out a clause, one of two bounds or a minus sign, turn a flag round, or let a
     limit in or out."""
 
     def __init__(self, number: int) -> None:
@@ -199,16 +200,11 @@ class _Mutation(ast.NodeTransformer):
         self.what = what
         return True
 
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
-        for index, value in enumerate(node.values):
-            if self._now(f"without {ast.unparse(value)}"):
-                rest = [v for k, v in enumerate(node.values) if k != index]
-                return rest[0] if len(rest) == 1 else ast.BoolOp(node.op, rest)
-        return self.generic_visit(node)
-
-    def visit_If(self, node: ast.If) -> ast.AST:
-        if self._now(f"never {ast.unparse(node.test)}"):
-            return ast.Pass()
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        if isinstance(node.op, ast.BitAnd | ast.BitOr):
+            for left_out, kept in ((node.left, node.right), (node.right, node.left)):
+                if self._now(f"without {ast.unparse(left_out)}"):
+                    return kept
         return self.generic_visit(node)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
@@ -223,7 +219,9 @@ class _Mutation(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Compare(self, node: ast.Compare) -> ast.AST:
-        other = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}[type(node.ops[0])]
+        other = {
+            ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq
+        }[type(node.ops[0])]  # fmt: skip
         if self._now(f"limit of {ast.unparse(node)}"):
             return ast.Compare(node.left, [other()], node.comparators)
         return self.generic_visit(node)
@@ -237,7 +235,7 @@ def mutants(transition: Transition) -> list[tuple[str, NetworkGuard]]:
         tree = ast.fix_missing_locations(mutation.visit(ast.parse(source)))
         if not mutation.what:
             break
-        space: dict[str, Any] = {"Features": Features, "Thresholds": Thresholds}
+        space: dict[str, Any] = dict(vars(guards))
         exec(compile(tree, "mutant", "exec"), space)
         found.append((mutation.what, space[transition.name.lower()]))
     return found
@@ -431,15 +429,15 @@ def test_every_threshold_is_described_with_its_unit() -> None:
     lines = diagram.thresholds_table().splitlines()[2:]
     assert [line.split("`")[1] for line in lines] == list(Thresholds._fields)
     for line in lines:
-        name, value, unit, used, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
+        name, value, of, used, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
         default = Thresholds._field_defaults[name.strip("`")]
         assert ({"no": False, "yes": True}[value] if isinstance(default, bool) else float(value)) == default
-        assert unit in {*diagram.UNITS.values(), "–"}
+        assert of in {*UNITS.values(), "–"}
         assert used.startswith("T") or name.strip("`") in MEASURES
         assert len(meaning) > 10
     for name, value in Thresholds._field_defaults.items():  # a physical quantity shows its unit, a share has none
         quantity = name.endswith(("_radps", "_rad", "_s", "_mps3"))
-        assert (diagram.unit(name) != "–") is quantity, name
+        assert (unit(name) != "–") is quantity, name
         assert quantity or isinstance(value, bool) or 0.0 < value < (10.0 if name in MULTIPLES else 1.0)
 
 

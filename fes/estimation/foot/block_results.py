@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from fes.estimation.clearance.clearance import FootPaths
-from fes.estimation.numerics.records import record_type
+from fes.estimation.numerics.records import record_of, record_type
 from fes.estimation.strides.integration import stride_shapes
 from fes.estimation.strides.results import (
     TRAJECTORY_POINTS,
@@ -18,10 +18,18 @@ from fes.estimation.strides.results import (
 from fes.estimation.strides.segmentation import CHANGES, STRIDES, new_out
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
-from statemachine.machine import GaitPhaseMachine, changes_of
-from statemachine.phases import PhaseChange
+from statemachine.guards import Features, Thresholds
+from statemachine.machine import GaitPhaseMachine
+from statemachine.phases import Phase, PhaseChange, Transition
 
-CHANGE = record_type([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)])
+CHANGE = record_type(  # and what the guard saw
+    [
+        ("t_ns", np.int64),
+        ("transition", np.int64),  # 0: a restart
+        ("features", np.float64, len(Features._fields)),
+        ("thresholds", record_of(Thresholds)),
+    ]
+)
 USUAL_STRIDES = 25  # in a history of twenty seconds
 
 
@@ -29,28 +37,24 @@ class TrackedBlock:
     """Phase changes and strides in order, the strides' trajectories beside them.
 
     ``transitions`` and ``out`` are what the compiled core fills from ``samples`` samples, after a history of
-    ``capacity`` (twenty seconds); where it stops for want of room, :meth:`store` makes more.
+    ``capacity`` (twenty seconds), from ``phase`` on; where it stops for want of room, :meth:`store` makes more.
     """
 
-    def __init__(self, foot: str, settings: StrideSettings, samples: int, capacity: int) -> None:
+    def __init__(self, foot: str, phase: Phase, settings: StrideSettings, samples: int, capacity: int) -> None:
         strides = USUAL_STRIDES * samples // capacity + 2
         self.transitions: Rows = np.empty(6 * strides, CHANGE)
         self.longer: FloatArray | None = None  # than by itself (K,) is each stride, where more is known of its length
         self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS, shaped=False)
-        self._foot, self._settings = foot, settings
-        self._stored, self._applied, self._capacity = 0, 0, capacity
+        self._foot, self._phase, self._settings = foot, phase, settings
+        self._stored, self._capacity = 0, capacity
 
     def add_restart(self, changes: Iterable[PhaseChange]) -> None:
         """Add the changes of a restart, which the compiled core knows nothing of."""
         for change in changes:
-            self.transitions[self._stored] = change.t_ns, change.transition, change.source
-            self.out.filled[CHANGES] = self._applied = self._stored + 1
+            row = self.transitions[self._stored]
+            row["t_ns"], row["transition"] = change.t_ns, change.transition
+            self.out.filled[CHANGES] = self._stored + 1
             self.store()
-
-    def apply_transitions(self, machine: GaitPhaseMachine) -> None:
-        """Have the machine follow what the core has found since; errors as of ``GaitPhaseMachine.follow``."""
-        machine.follow(self.transitions[self._applied : self._stored].tolist())
-        self._applied = self._stored
 
     def store(self) -> None:
         """Take over what the core has found, and make room for more."""
@@ -66,8 +70,20 @@ class TrackedBlock:
 
     @property
     def changes(self) -> list[PhaseChange]:
-        """The phase changes, made anew at every call."""
-        return changes_of(self._foot, self.transitions[: self._stored].tolist())
+        """The phase changes, made anew at every call by a machine that goes through them.
+
+        Raises:
+            GuardDisagreement: see :meth:`GaitPhaseMachine.fire`.
+        """
+        if not self._stored:
+            return []
+        machine = GaitPhaseMachine(self._foot, self._phase)
+        return [
+            machine.fire(Transition(number), t_ns, Features._make(seen.tolist()), Thresholds._make(limits))
+            if number
+            else machine.restart(t_ns)
+            for t_ns, number, seen, limits in self.transitions[: self._stored].tolist()
+        ]
 
     @property
     def rows(self) -> Rows:

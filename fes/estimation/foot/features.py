@@ -13,6 +13,7 @@ from fes.estimation.foot.orientation import OrientationSettings, correct_by_grav
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_world
+from fes.estimation.tracking.first_transition import first_transition
 from fes.estimation.tracking.phase_features import (
     FIELDS,
     LAGS,
@@ -25,7 +26,6 @@ from fes.estimation.tracking.phase_features import (
 )
 from fes.signals import G_MPS2
 from statemachine.guards import Thresholds
-from statemachine.table import first_transition_function
 
 STANDING_RADPS = (
     0.25,
@@ -69,7 +69,6 @@ class FootParameters(NamedTuple):
 
 
 CORE = core_type(STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)
-first_transition = first_transition_function(jit_ieee)
 
 
 def lags_at(rate_hz: float) -> tuple[int, int]:

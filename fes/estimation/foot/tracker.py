@@ -5,17 +5,19 @@ Python is called where the phase machine or a stride's result is wanted.
 """
 
 import numpy as np
+from numba import literal_unroll
 
 from fes.estimation.foot import features
 from fes.estimation.foot.block_results import CHANGE, TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit_ieee
-from fes.estimation.numerics.records import Mat, Vec, fill
+from fes.estimation.numerics.records import Mat, Record, Vec, fill
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.strides.segmentation import CHANGES, ROWS, STRIDE_STATE, STRIDES, Out, new_out
 from fes.estimation.tracking.phase_features import enter_phase
+from fes.estimation.tracking.phase_features import features as features_of
 from fes.estimation.tracking.tracker import (
     FULL,
     KEPT,
@@ -33,7 +35,7 @@ from fes.estimation.tracking.tracker import (
     until_due,
 )
 from fes.signals import FloatArray, IntArray, Vector3
-from statemachine.phases import PhaseChange, Transition
+from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE
 
 LIVE = live_type(features.CORE, stride=STRIDE_STATE, biases=np.dtype((np.float64, (2, 3))))
@@ -51,6 +53,16 @@ def _go_through(live: Vec, strides: Vec, number: int) -> None:
     core = live[0].core
     enter_phase(core, _DESTINATIONS[number])
     segmentation.on_phase(strides, core.state.phase, core.state.t_ns)
+
+
+@jit_ieee
+def _note(change: Record, core: Record, number: int) -> None:
+    """Note a transition at the newest sample, before it is gone through, with what its guard saw."""
+    change.t_ns, change.transition, change.thresholds = core.state.t_ns, number, core.thresholds
+    k = 0
+    for value in literal_unroll(features_of(core.state)):
+        change.features[k] = value
+        k += 1  # noqa: SIM113 - the compiler knows no enumerate here
 
 
 @jit_ieee
@@ -106,8 +118,7 @@ def _block(
             if number == _T1:
                 segmentation.begin(strides, at, t_ns, gyr, biases, core.thresholds.stride_s)
         if number != NOTHING and number != DUE:
-            change = changes[filled[CHANGES]]
-            change.t_ns, change.transition, change.source = t_ns[at - 1], number, state.phase
+            _note(changes[filled[CHANGES]], core, number)
             _go_through(live, strides, number)
             filled[CHANGES] += 1
         number = NOTHING
@@ -202,17 +213,18 @@ class FootTracker(Tracker):
 
     def track(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> TrackedBlock:
         """Take samples in, as :meth:`advance`, and give back what happened as arrays."""
-        tracked = TrackedBlock(self.foot, self._maker.settings, len(t_ns), len(self._history.arrays.t_ns))
+        room = len(t_ns), len(self._history.arrays.t_ns)
+        tracked = TrackedBlock(self.foot, self.phase, self._maker.settings, *room)
         samples = as_samples(t_ns, acc_mps2, gyr_radps)
         begin, at, became = 0, self._history.filled, NOTHING_STORED
         while became != KEPT:
             begin, at, became = self._track(samples, tracked.transitions, tracked.out, begin, at, NOTHING)
             tracked.store()
             if became == SILENCE:
-                tracked.apply_transitions(self.machine)
+                self.machine.go_on_in(Phase(self._state["phase"]))
                 tracked.add_restart(self._begin(int(samples.t_ns[begin]), samples.acc[begin]))
                 at = 0
-        tracked.apply_transitions(self.machine)
+        self.machine.go_on_in(Phase(self._state["phase"]))
         return tracked
 
     def _track(

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fes.estimation.foot.features import first_transition
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
+from fes.estimation.tracking.first_transition import first_transition
 from fes.estimation.tracking.phase_features import (
     FIELDS,
     LAGS,

@@ -1,5 +1,5 @@
 "use strict";
-// What `fes explain` says of one instant, from the numbers in the report alone: the guards' own comparisons are evaluated here.
+// What `fes explain` says of one instant, from the report alone: what the guards saw at each kept sample is in it.
 const momentTeller = (data) => {
   const DIGITS = 3, OLD_S = 5;
   const words = data.moments;
@@ -15,7 +15,8 @@ const momentTeller = (data) => {
     if (packed && !feet.has(name)) {
       feet.set(name, {
         ...packed, t_s: typed(packed.t_s, Float64Array), phase: typed(packed.phase, Int8Array),
-        fired: typed(packed.fired, Int8Array), features: typed(packed.features, Float32Array),
+        fired: typed(packed.fired, Int8Array), holds: typed(packed.holds, Uint8Array),
+        values: packed.values.map((one) => typed(one, Float32Array)),
       });
     }
     return feet.get(name);
@@ -32,37 +33,28 @@ const momentTeller = (data) => {
   };
   const newest = (list, value) => list[last(list.length, (i) => list[i][0], value)];
 
+  // How a foot's comparisons came out at a kept sample: a function from a guard's terms to those with their values.
   const seenAt = (foot, row) => {
-    const x = {}, p = {};
-    words.features.forEach((name, i) => { x[name] = foot.features[row * words.features.length + i]; });
-    for (const [from, changed] of foot.thresholds) if (from <= row) Object.assign(p, changed);
-    return { x, p };
+    const samples = foot.t_s.length, comparisons = foot.columns.length / 2, bytes = foot.holds.length / samples;
+    const since = last(foot.begins.length, (i) => foot.begins[i], row), limitIs = {};
+    for (const [from, changed] of foot.limit_is) if (from <= row) Object.assign(limitIs, changed);
+    const value = (column) => {
+      const values = foot.values[foot.columns[column]];
+      return values[values.length === samples ? row : since];
+    };
+    const at = (terms) => {
+      if (terms.parts) {
+        const parts = terms.parts.map(at);
+        return { every: terms.every, parts, holds: terms.every ? parts.every((e) => e.holds) : parts.some((e) => e.holds) };
+      }
+      const k = terms.number, seen = value(k), limit = value(comparisons + k);
+      const shown = terms.flag ? { seen: Boolean(seen), limit: Boolean(limit) } : { seen, limit };
+      return { ...terms, ...shown, of: limitIs[k], holds: Boolean(foot.holds[row * bytes + (k >> 3)] >> (k & 7) & 1) };
+    };
+    return at;
   };
 
-  const DO = {
-    "+": (a, b) => a + b, "-": (a, b) => a - b, "*": (a, b) => a * b, "/": (a, b) => a / b,
-    neg: (a) => -a, abs: Math.abs, max: Math.max, min: Math.min,
-  };
-  const HOLDS = {
-    "<": (a, b) => a < b, "≤": (a, b) => a <= b, ">": (a, b) => a > b, "≥": (a, b) => a >= b,
-    "=": (a, b) => a === b, "≠": (a, b) => a !== b,
-  };
-  const OPPOSITE = { "<": "≥", "≥": "<", ">": "≤", "≤": ">", "=": "≠", "≠": "=" };
-  const value = (expression, known) => {
-    if (!Array.isArray(expression)) return expression;
-    const [head, ...rest] = expression;
-    if (head === "x" || head === "p") return known[head][rest[0]];
-    return DO[head](...rest.map((each) => value(each, known)));
-  };
-  const evaluated = (terms, known) => {
-    if (terms.parts) {
-      const parts = terms.parts.map((part) => evaluated(part, known));
-      return { every: terms.every, parts, holds: terms.every ? parts.every((e) => e.holds) : parts.some((e) => e.holds) };
-    }
-    let seen = value(terms.seen, known), limit = value(terms.limit, known);
-    if (terms.flag) { seen = Boolean(seen); limit = Boolean(limit); }
-    return { ...terms, seen, limit, holds: HOLDS[terms.sign](seen, limit) };
-  };
+  const OPPOSITE = { "<": "≥", "≥": "<", ">": "≤", "≤": ">" };
   const each = (terms) => (terms.parts ? terms.parts.flatMap(each) : [terms]);
 
   const yes = (flag) => (flag ? "yes" : "no");
@@ -86,9 +78,9 @@ const momentTeller = (data) => {
     const own = footOf(sensor), name = own && own.foot;
     const row = own ? last(own.t_s.length, (i) => own.t_s[i], at + 5e-5) : -1;
     if (row < 0 || at - own.t_s[row] > OLD_S) return null;
-    const known = seenAt(own, row), phase = words.phases[own.phase[row]], fired = words.transitions[own.fired[row]];
+    const cameOut = seenAt(own, row), phase = words.phases[own.phase[row]], fired = words.transitions[own.fired[row]];
     const guards = words.guards.map((guard) => (
-      { name: guard.name, asked: guard.from === phase, terms: evaluated(guard.terms, known) }));
+      { name: guard.name, asked: guard.from === phase, terms: cameOut(guard.terms) }));
     const since_s = sinceOf(own.t_s[row] - 1e-4); // of the phase that this sample found
     const since = since_s === null ? "" : ` since ${since_s.toFixed(3)} s`;
     const lines = [`The ${name} was in ${phase}${since} (sample of ${own.t_s[row].toFixed(3)} s).`];
