@@ -126,7 +126,7 @@ hazards: $(VENV)/dev.stamp
 	$(BIN)/python tests/safety/hazard_mutants.py
 
 docs: $(VENV)/dev.stamp
-	$(BIN)/python -m statemachine.diagram --write docs/phases.md
+	$(BIN)/python docs/phases_page.py
 	$(BIN)/python tests/safety/documents.py --write
 
 # The tools are an environment of their own. A warning is an error, a link that leads nowhere is a warning.

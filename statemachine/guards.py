@@ -5,11 +5,8 @@ core compiles the very same functions, and ``statemachine/terms.py`` calls them 
 are made. So every comparison is made whenever a guard is asked: clauses are joined by ``&`` and ``|``, a flag is
 compared with ``YES`` or ``NO``, and there is no early return.
 
-Source: Negård et al. (2005), "Gait Phases Detection": which phase may follow which, and what is looked at.
-Departure: all limits are shares of this person's own push-off, fall from push-off to mid-swing, times and jump of the
-force at contact, so that one setting holds for a healthy walker in a hurry and for a foot that shuffles or drags,
-and at every sampling rate. How long a swing or a loading response may last is told by this person's own, never by the
-stride: who is slow stands longer and need not swing longer.
+Source: Negård et al. (2005), "Gait Phases Detection": which phase may follow which, and what is looked at. The room's
+first page (``statemachine/__init__.py``) says where it is departed from, and why.
 """
 
 from typing import Final, NamedTuple
@@ -53,45 +50,100 @@ class Features(NamedTuple):
 class Thresholds(NamedTuple):
     """This person's measures, which follow from stride to stride within bounds, and the guards' shares of them.
 
-    The measures come from ``fes.estimation.foot.calibration`` (of a shank ``fes.estimation.shank.calibration``). Shares
-    of rates are of the greater of push-off and half the fall: a weak push-off says little.
+    The measures come from ``fes.estimation.foot.calibration`` (of a shank ``fes.estimation.shank.calibration``). The
+    rate of a foot, of which many limits are shares, is the greater of push-off and half the fall: a weak push-off says
+    little. Of origin *data* is what all walkers of ``benchmarks/left_out.py`` chose, by which each of them is judged
+    with a value that was chosen without it.
     """
 
-    push_off_radps: float = 6.0  # typical peak of the toe-down rate
-    fall_radps: float = 12.0  # from there to the greatest toe-up rate of the swing
-    stride_s: float = 1.2  # from contact to contact
-    swing_s: float = 0.45  # from foot off to contact
-    loading_s: float = 0.15  # from contact to foot flat
-    contact_jerk_mps3: float = 2000.0  # typical jump of the force at contact
-    rest_share: float = 0.18  # T3, T5, T6: at rest below this rate
-    still_radps: float = 0.25  # T1, T4: still below this rate (14°/s), …
-    still_share: float = 0.05  # … or, of a brisk foot that never is, below this share of its rate
-    heel_rise_rad: float = 0.04  # T1: the foot has turned by 2.3° since it stood still, the heel is about 5 mm up, …
-    heel_rise_share: float = 0.12  # … it goes on above this rate, …
-    heel_rise_after: float = 0.26  # … and this share of the stride after contact, before which no heel rises
-    toe_up_share: float = 0.3  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
-    toe_up_after: float = 0.35  # … and, for T1, this share of the stride after contact
-    swung_share: float = 0.45  # T1: only a swing turns the foot toe-up by this share of a fall, …
-    swung_after_s: float = 0.25  # … but for a contact's rebound, which lasts no longer, whatever the cadence
-    push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
-    push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
-    carried_share: float = 0.1  # T2: carried along, a foot swings as soon as it turns toe-up above this rate
-    swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
-    shortest_swing_share: float = 0.6  # T3: of this person's own swing; the jolts of foot off end before
-    mid_swing_share: float = 0.65  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
-    rising_share: float = 0.4  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
-    landed_share: float = 0.15  # T3, T4: a foot that has landed turns at this rate
-    jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
-    soft_contact_share: float = 0.3  # T3: after so long at rest, of the swing, it has landed without a jolt, …
-    soft_contact_s: float = 0.04  # … or after so long with nothing but gravity upon it
-    shortest_loading_s: float = 0.03  # T4: a contact's jolt ends before
-    flat_rad: float = 0.03  # T4: the foot is within 1.7° of flat, …
-    settling_s: float = 0.02  # … which counts where it turns for so long at the rate it has, or …
-    settled_share: float = 0.45  # … its rate has died away to this share of its peak since contact, …
-    near_sds: float = 3.0  # … within so many standard deviations of flat, or …
-    settled_after_s: float = 0.08  # … it has stood still for so long, or …
-    longest_loadings: float = 2.0  # … so many of this person's own loading responses have passed
-    put_back_share: float = 0.8  # T5, T6: at rest for this share of the swing
+    push_off_radps: float = 6.0
+    """measure: The typical greatest toe-down rate of a push-off. Origin: calibration and the strides."""
+    fall_radps: float = 12.0
+    """measure: The typical fall of that rate, from there to the greatest toe-up rate of the swing. Origin:
+    calibration and the strides."""
+    stride_s: float = 1.2
+    """measure: The typical time of a stride, from contact to contact. Origin: calibration and the strides."""
+    swing_s: float = 0.45
+    """measure: The typical time of a swing, from foot off to contact. Origin: 0.4 of the stride, 0.6 s at most, and
+    the strides."""
+    loading_s: float = 0.15
+    """measure: The typical time of a loading response, from contact to foot flat. Origin: this value and the
+    strides."""
+    contact_jerk_mps3: float = 2000.0
+    """measure: The typical jump of the force at contact. Origin: calibration and the strides."""
+    rest_share: float = 0.18
+    """T3, T5, T6: The foot is at rest while it turns more slowly than this share of its rate. Origin: data."""
+    still_radps: float = 0.25
+    """T1, T4: The foot stands still while it turns more slowly than this, 14°/s. Origin: as in the orientation
+    filter (`STANDING_RADPS`)."""
+    still_share: float = 0.05
+    """T1, T4: A brisk foot, which never turns so slowly, stands still below this share of its rate. Origin: by
+    hand."""
+    heel_rise_rad: float = 0.04
+    """T1: The foot has turned toe-down by this angle, 2.3°, since it last stood still: the heel is about 5 mm up.
+    Origin: data."""
+    heel_rise_share: float = 0.12
+    """T1: With its heel up, the foot goes on turning toe-down faster than this share of its rate. Origin: data."""
+    heel_rise_after: float = 0.26
+    """T1: No heel rises before this share of the stride has passed since contact. Origin: data."""
+    toe_up_share: float = 0.3
+    """T1, T2, T3: A foot that is dragged off without a push-off turns toe-up faster than this share of its rate.
+    Origin: data."""
+    toe_up_after: float = 0.35
+    """T1: No foot is dragged off before this share of the stride has passed since contact. Origin: by hand."""
+    swung_share: float = 0.45
+    """T1: Only a swing, whose beginning was missed, turns the foot toe-up faster than this share of a fall. Origin:
+    data."""
+    swung_after_s: float = 0.25
+    """T1: A contact's rebound may turn it as fast, but is over by then, whatever the cadence. Origin: data."""
+    push_off_share: float = 0.4
+    """T2: A push-off has been seen once the toe-down rate has reached this share of its typical peak. Origin:
+    data."""
+    push_off_drop: float = 0.07
+    """T2: The peak is over once the rate has fallen by this share of it; a ripple falls by less. Origin: the paper,
+    which asks for any fall; the share by hand."""
+    carried_share: float = 0.1
+    """T2: A foot that travels, its push-off held back by stimulation, turns toe-up faster than this share of its
+    rate. Origin: virtual slow walkers (`tests/stimulation/test_slow_walkers.py`)."""
+    swing_at_reversal: bool = False
+    """T2: Swing waits until the foot turns toe-up. Origin: the paper's text, against its formula."""
+    shortest_swing_share: float = 0.6
+    """T3: No contact comes before this share of the typical swing has passed; the jolts of foot off end before.
+    Origin: data."""
+    mid_swing_share: float = 0.65
+    """T3: Mid-swing has been seen once toe-down peak and toe-up peak together make this share of a fall. Origin:
+    data."""
+    rising_share: float = 0.4
+    """T3: Mid-swing is over once the foot turns toe-up no faster than this share of the swing's peak. Origin:
+    data."""
+    landed_share: float = 0.15
+    """T3, T4: A foot that has landed turns faster than this share of its rate, toe-down (T3) or either way (T4).
+    Origin: by hand."""
+    jerk_share: float = 0.3
+    """T3: The force jumps at contact by more than this share of its typical jump. Origin: the paper's jump; the
+    share data."""
+    soft_contact_share: float = 0.3
+    """T3: After this share of the typical swing at rest, a foot has landed without a jolt. Origin: data."""
+    soft_contact_s: float = 0.04
+    """T3: So it has after this long at rest with nothing but gravity upon it. Origin: by hand."""
+    shortest_loading_s: float = 0.03
+    """T4: No foot is flat sooner after contact; the jolt of contact ends before. Origin: by hand."""
+    flat_rad: float = 0.03
+    """T4: A flat foot's pitch is within this angle, 1.7°, of this person's flat one … Origin: data."""
+    settling_s: float = 0.02
+    """T4: … with what it would turn in this time, at the rate it has, added. Origin: by hand."""
+    settled_share: float = 0.45
+    """T4: A foot has come down once its turn has died away to this share of its peak since contact … Origin:
+    data."""
+    near_sds: float = 3.0
+    """T4: … within so many standard deviations of flat, by how well its pitch is known after a swing. Origin: three
+    standard deviations, as is usual."""
+    settled_after_s: float = 0.08
+    """T4: A foot that has stood still for this long is flat. Origin: by hand."""
+    longest_loadings: float = 2.0
+    """T4: After so many typical loading responses a foot is taken for flat, whatever is seen. Origin: data."""
+    put_back_share: float = 0.8
+    """T5, T6: A foot that has been at rest for this share of the typical swing was put back. Origin: by hand."""
 
 
 def t1(x: Features, p: Thresholds) -> bool:

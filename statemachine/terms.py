@@ -101,7 +101,7 @@ class Terms(_Joined):
 
 def terms_of(guard: Guard, x: Features, p: Thresholds) -> Terms:
     """What ``guard`` made of these features and thresholds; of N samples at once if the features are arrays (N,)."""
-    found: Any = guard(_traced(x, _feature), _traced(p, str))
+    found: Any = guard(_traced(x, feature_words), _traced(p, str))
     return found if isinstance(found, Terms) else Terms(True, (found,))
 
 
@@ -110,7 +110,7 @@ def unit(name: str) -> str:
     return UNITS.get(name.rpartition("_")[2], "–")
 
 
-def _feature(name: str) -> str:
+def feature_words(name: str) -> str:
     """``toe_down_radps`` → ``toe down``."""
     return (name if unit(name) == "–" else name.rpartition("_")[0]).replace("_", " ")
 

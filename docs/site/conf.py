@@ -7,7 +7,6 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from pages import DATA, not_run, on_source
-from pygments.lexers.special import TextLexer
 
 from fes import __version__
 
@@ -32,4 +31,3 @@ napoleon_google_docstring, napoleon_numpy_docstring, napoleon_use_ivar = True, F
 
 def setup(app):
     app.connect("source-read", on_source)
-    app.add_lexer("mermaid", TextLexer)  # drawn by forges; here its text

@@ -6,9 +6,7 @@ import ast
 import inspect
 import itertools
 import math
-import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numba
@@ -16,12 +14,11 @@ import numpy as np
 import pytest
 
 from fes.estimation.tracking import first_transition as kernel
-from statemachine import diagram, guards
+from statemachine import guards
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine, GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE
-from statemachine.terms import UNITS, unit
 
 P = Thresholds(push_off_radps=8.0, fall_radps=12.0)  # a push-off that is more than half the fall
 FOOT = "left_foot"
@@ -403,64 +400,3 @@ def test_compiled_guards_are_the_table_on_an_exhaustive_grid() -> None:
     assert np.array_equal(fired, expected)
     for phase in Phase:  # the grid reaches every row
         assert set(fired[:, phase]) == {0} | {t.value for (source, t) in SIX if source is phase}
-
-
-# --- the page that is written from the table -------------------------------------------------------------
-
-MEASURES = (  # no limits by themselves
-    "push_off_radps", "fall_radps", "stride_s", "swing_s", "loading_s", "contact_jerk_mps3"
-)  # fmt: skip
-MULTIPLES = ("near_sds", "longest_loadings")  # which may be more than one
-PHASES_MD = Path(__file__).resolve().parents[2] / "docs" / "phases.md"
-
-
-def test_the_page_is_up_to_date() -> None:
-    assert diagram.main(["--check", str(PHASES_MD)]) == 0
-
-
-def test_the_diagram_has_the_tables_arrows_and_no_others() -> None:
-    arrows = [line.split(" : ")[0].split() for line in diagram.mermaid().splitlines() if "-->" in line]
-    assert arrows[0] == ["[*]", "-->", "STANCE"]
-    assert [(a, b) for a, _, b in arrows[1:]] == [(row.source.name, row.destination.name) for row in TABLE]
-    assert all(len(diagram.condition(row)) > 10 for row in TABLE)
-
-
-def test_every_threshold_is_described_with_its_unit() -> None:
-    lines = diagram.thresholds_table().splitlines()[2:]
-    assert [line.split("`")[1] for line in lines] == list(Thresholds._fields)
-    for line in lines:
-        name, value, of, used, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
-        default = Thresholds._field_defaults[name.strip("`")]
-        assert ({"no": False, "yes": True}[value] if isinstance(default, bool) else float(value)) == default
-        assert of in {*UNITS.values(), "–"}
-        assert used.startswith("T") or name.strip("`") in MEASURES
-        assert len(meaning) > 10
-    for name, value in Thresholds._field_defaults.items():  # a physical quantity shows its unit, a share has none
-        quantity = name.endswith(("_radps", "_rad", "_s", "_mps3"))
-        assert (unit(name) != "–") is quantity, name
-        assert quantity or isinstance(value, bool) or 0.0 < value < (10.0 if name in MULTIPLES else 1.0)
-
-
-def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"above\n{diagram.BEGIN}\nof yesterday\n{diagram.END}\nbelow\n", encoding="utf-8")
-    assert diagram.main(["--check", str(page)]) == 1
-    assert "out of date" in capsys.readouterr().out
-    assert diagram.main(["--write", str(page)]) == 0
-    assert diagram.main(["--check", str(page)]) == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith("above\n")
-    assert text.endswith("\nbelow\n")
-    assert "yesterday" not in text
-    assert diagram.main([]) == 0
-    assert capsys.readouterr().out.strip() in text
-
-
-@pytest.mark.parametrize("text", ["", f"{diagram.BEGIN}", f"{diagram.END}{diagram.BEGIN}"])
-def test_a_page_without_markers_is_refused(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(text, encoding="utf-8")
-    with pytest.raises(SystemExit):
-        diagram.main(["--write", str(page)])
-    assert "page.md: expected one line" in capsys.readouterr().err
-    assert page.read_text(encoding="utf-8") == text

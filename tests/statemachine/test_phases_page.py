@@ -1,0 +1,106 @@
+"""docs/phases.md and its pictures are what the code says now."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import phases_page
+import pytest
+from phases_page import ARROWS, BOX, PLACES, Shown, condition, looks_at
+
+from statemachine.guards import Thresholds
+from statemachine.phases import Phase, Transition
+from statemachine.table import TABLE
+from statemachine.terms import UNITS, unit
+
+MEASURES = (  # no limits by themselves
+    "push_off_radps", "fall_radps", "stride_s", "swing_s", "loading_s", "contact_jerk_mps3"
+)  # fmt: skip
+MULTIPLES = ("near_sds", "longest_loadings")  # which may be more than one
+
+
+@pytest.fixture(scope="module")
+def stride() -> Shown:
+    return phases_page.stride_shown()
+
+
+def test_the_page_is_up_to_date() -> None:
+    assert phases_page.main(["--check"]) == 0
+
+
+def on_the_edge(phase: Phase, x: float, y: float) -> bool:
+    left, top = abs(x - PLACES[phase][0]), abs(y - PLACES[phase][1])
+    return (left == BOX[0] / 2 and top <= BOX[1] / 2) or (top == BOX[1] / 2 and left <= BOX[0] / 2)
+
+
+def test_the_picture_has_the_tables_arrows_and_no_others() -> None:
+    assert list(ARROWS) == [row.transition for row in TABLE]
+    picture = re.sub(r"</text>\n<text[^>]*>", " ", phases_page.states_picture())
+    assert picture.count("marker-end") == len(TABLE)
+    for row in TABLE:
+        x1, y1, x2, y2, *_ = ARROWS[row.transition]
+        assert on_the_edge(row.source, x1, y1)
+        assert on_the_edge(row.destination, x2, y2)
+        assert len(condition(row)) > 10
+        assert f"{row.transition.name} {condition(row)}<" in picture
+    assert all(f">{phases_page.name_of(phase)}</text>" in picture for phase in Phase)
+
+
+def test_what_a_guard_looks_at_is_what_it_compares() -> None:
+    seen = {row.transition: looks_at(row) for row in TABLE}
+    assert "turned" in seen[Transition.T1]
+    assert "contact jerk" in seen[Transition.T3]
+    assert seen[Transition.T5] == ["resting", "travelling"]
+
+
+def test_every_threshold_is_described_with_its_unit_and_origin() -> None:
+    lines = phases_page.thresholds_table().splitlines()[2:]
+    assert [line.split("`")[1] for line in lines] == list(Thresholds._fields)
+    for line in lines:
+        name, value, of, used, meaning, origin = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
+        default = Thresholds._field_defaults[name.strip("`")]
+        assert ({"no": False, "yes": True}[value] if isinstance(default, bool) else float(value)) == default
+        assert of in {*UNITS.values(), "–"}
+        assert (used == "measure") is (name.strip("`") in MEASURES)
+        assert used == "measure" or re.fullmatch(r"T\d(, T\d)*", used)
+        assert re.fullmatch(r"[A-Z…].{15,}[.…]", meaning), "a sentence"
+        assert re.fullmatch(r".{4,}\.", origin)
+    for name, value in Thresholds._field_defaults.items():  # a physical quantity shows its unit, a share has none
+        quantity = name.endswith(("_radps", "_rad", "_s", "_mps3"))
+        assert (unit(name) != "–") is quantity, name
+        assert quantity or isinstance(value, bool) or 0.0 < value < (10.0 if name in MULTIPLES else 1.0)
+
+
+def test_the_stride_that_is_shown_is_a_whole_one(stride: Shown) -> None:
+    assert [transition for _, transition, _ in stride.changes] == [Transition(k) for k in (1, 2, 3, 4)]
+    for k, transition, terms in stride.changes:
+        (row,) = (row for row in TABLE if row.transition is transition)
+        assert terms.holds is row.guard(*stride.seen[k]) is True
+        assert stride.phase[k] is row.source
+        held = list(phases_page.held_by(terms))
+        assert held
+        assert all(term.holds for term in held)
+    assert len(stride.table().splitlines()) == 2 + 4
+
+
+def test_check_and_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("PAGE", "STATES", "STRIDE"):
+        monkeypatch.setattr(phases_page, name, tmp_path / getattr(phases_page, name).name)
+    page = tmp_path / "phases.md"
+    page.write_text(f"above\n{phases_page.BEGIN}\nof yesterday\n{phases_page.END}\nbelow\n", encoding="utf-8")
+    assert phases_page.main(["--check"]) == 1
+    told = capsys.readouterr().out
+    assert all(f"{name} is out of date" in told for name in ("phases.md", "phases.svg", "phases_stride.svg"))
+    assert phases_page.main([]) == 0
+    assert phases_page.main(["--check"]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("above\n")
+    assert text.endswith("\nbelow\n")
+    assert "yesterday" not in text
+
+
+@pytest.mark.parametrize("text", ["", f"{phases_page.BEGIN}", f"{phases_page.END}{phases_page.BEGIN}"])
+def test_a_page_without_markers_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="expected one line"):
+        phases_page.updated(text, "new")
