@@ -15,6 +15,7 @@ import math
 import re
 import sys
 import textwrap
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -98,7 +99,7 @@ def thresholds_table() -> str:
         shown = ("no", "yes")[value] if isinstance(value, bool) else f"{value:g}"
         used, _, rest = text.partition(": ")
         meaning, _, origin = rest.partition(" Origin: ")
-        lines.append(f"| `{name}` | {shown} | {unit(name)} | {used} | {meaning} | {origin} |")
+        lines.append(f"| `{name}` | {shown} | {unit(name)} | {used} | {meaning} | {origin[:1].upper()}{origin[1:]} |")
     return "\n".join(lines)
 
 
@@ -136,7 +137,7 @@ def updated(text: str, new: str) -> str:
 BOX = 200, 110
 PLACES = {  # centre of each phase, and how its foot lies: turned toe-up by degrees, lifted by points
     Phase.STANCE: (150, 105, 0, 0),
-    Phase.PRE_SWING: (750, 105, -38, 0),
+    Phase.PRE_SWING: (750, 105, -30, 0),
     Phase.SWING: (750, 355, 4, 16),
     Phase.LOADING_RESPONSE: (150, 355, 22, 0),
 }
@@ -204,20 +205,22 @@ def states_picture() -> str:
         marks.append(
             f'<path d="M{x1} {y1}L{x2} {y2}" stroke="{INK}" stroke-width="1.6"{usual} marker-end="url(#tip)"/>'
         )
-        marks += lines_of(x, y, f"{row.transition.name}  {condition(row)}", letters, text_anchor=anchor)
+        marks += lines_of(x, y, f"{row.transition.name} {condition(row)}", letters, text_anchor=anchor)
     return svg(460, marks)
 
 
 # --- one stride ------------------------------------------------------------------------------------------
 
 COLORS = {"T1": "#B45309", "T2": "#1D4ED8", "T3": "#A21CAF", "T4": "#047857", "T5": "#6b7280", "T6": "#6b7280"}
-PANELS = (  # unit, and what is drawn of that unit beside the limits of it
-    ("rad/s", "turning toe-down, rad/s", ("toe down",)),
-    ("rad", "angle, rad", ("turned", "pitch")),
-    ("m/s³", "jump of the force, m/s³", ("contact jerk",)),
+Panel = tuple[str, str, tuple[str, ...], float]
+PANELS: tuple[Panel, ...] = (  # unit, what is drawn of that unit beside the limits of it, and how far at most
+    ("rad/s", "turning toe-down, rad/s", ("toe down",), math.inf),
+    ("rad", "angle, rad, cut off beyond 0.2", ("turned", "pitch"), 0.2),
+    ("m/s³", "jump of the force, m/s³", ("contact jerk",), math.inf),
 )
 DASHES = ("none", "5 3")
 DASHED = 'stroke-dasharray="4 3"'
+THRESHOLDS_OF_T = tuple(name for name, text in described().items() if not text.startswith("measure"))
 HALO = 'stroke="#fff" stroke-width="3" stroke-linejoin="round" paint-order="stroke"'
 LEFT, RIGHT, TOP, TALL, BETWEEN = 64, 128, 44, 190, 26
 
@@ -292,7 +295,11 @@ def stride_shown() -> Shown:
 
 
 def limits(stride: Shown, of: str, names: Sequence[str]) -> Iterator[tuple[str, str, int, list[float]]]:
-    """The limits of these while their guards are asked: guard, threshold, from which sample on, values."""
+    """The limits of these while their guards are asked: guard, words, from which sample on, values.
+
+    Of a limit on the size, which has two lines, the upper one says so and the lower one has no words. A comparison with
+    a plain number is left out: it belongs to a threshold that is no limit.
+    """
     for row in TABLE[:4]:
         asked = [k for k, phase in enumerate(stride.phase) if phase is row.source]
         terms = [list(terms_of(row.guard, *stride.seen[k]).each()) for k in asked]
@@ -300,52 +307,67 @@ def limits(stride: Shown, of: str, names: Sequence[str]) -> Iterator[tuple[str, 
             what = each[0].what
             if each[0].unit != of or what.lstrip("−").replace("|", "").split(" + ")[0] not in names:
                 continue
-            threshold = next((name for name in Thresholds._fields if name in each[0].limit_is), "")
-            for sign in (1.0, -1.0) if "|" in what else (-1.0,) if what.startswith("−") else (1.0,):
-                yield row.transition.name, threshold, asked[0], [sign * term.limit for term in each]
+            threshold = next((name for name in THRESHOLDS_OF_T if name in each[0].limit_is), "")
+            if not threshold:
+                continue
+            words = f"{row.transition.name} {threshold}"
+            if "|" in what:
+                yield (
+                    row.transition.name,
+                    f"{row.transition.name} ±{threshold}",
+                    asked[0],
+                    [term.limit for term in each],
+                )
+                words = ""
+            sign = -1.0 if what.startswith(("−", "|")) else 1.0
+            yield row.transition.name, words, asked[0], [sign * term.limit for term in each]
 
 
-def panel(
-    stride: Shown, of: str, label: str, names: Sequence[str], top: float, across: Callable[[float], float]
-) -> Iterator[str]:
+def panel(stride: Shown, panel_of: Panel, top: float, across: Callable[[float], float]) -> Iterator[str]:
     """One unit's signals and limits in a frame."""
+    of, label, names, reach = panel_of
     fields = {name: next(f for f in Features._fields if name == feature_words(f)) for name in names}
     signals = {name: [getattr(x, field) for x, _ in stride.seen] for name, field in fields.items()}
     lines = list(limits(stride, of, names))
     every = [value for values in (*signals.values(), *(line[3] for line in lines)) for value in values]
-    low, high = min(every), max(every) + 0.12 * (max(every) - min(every))
-    low -= 0.04 * (high - low)
+    low, high = max(min(every), -reach), min(max(every), reach)
+    low, high = low - 0.04 * (high - low), high + 0.12 * (high - low)
 
     def up(value: float) -> float:
         return top + TALL * (high - value) / (high - low)
 
     def path(begin: int, values: Sequence[float]) -> str:
-        return "M" + "L".join(
-            f"{across(t_s):.1f} {up(y):.1f}" for t_s, y in zip(stride.t_s[begin:], values, strict=False)
-        )
+        points = [(f"{across(t_s):.1f}", f"{up(y):.1f}") for t_s, y in zip(stride.t_s[begin:], values, strict=False)]
+        inner = (b for a, b, c in zip(points, points[1:], points[2:], strict=False) if not a[1] == b[1] == c[1])
+        return "M" + "L".join(" ".join(point) for point in (points[0], *inner, points[-1]))
+
+    frame = f'x="{LEFT}" y="{top}" width="{WIDTH - LEFT - RIGHT}" height="{TALL}"'
+    yield f'<clipPath id="frame{top}"><rect {frame}/></clipPath>'
 
     for value in nice_ticks(low, high, 5):
         yield f'<path d="M{LEFT} {up(value):.1f}H{WIDTH - RIGHT}" stroke="#fff" stroke-width="1"/>'
         yield f'<text x="{LEFT - 7}" y="{up(value) + 4:.1f}" text-anchor="end" font-size="11">{value:g}</text>'
     for values, dash in zip(signals.values(), DASHES, strict=False):
-        yield f'<path d="{path(0, values)}" fill="none" stroke="{INK}" stroke-width="1.6" stroke-dasharray="{dash}"/>'
-    placed: list[tuple[float, float]] = []
-    for guard, threshold, begin, values in lines:
-        color, last = COLORS[guard], guard == "T4"  # whose words stand in the margin
-        yield f'<path d="{path(begin, values)}" fill="none" stroke="{color}" stroke-width="1.4" {DASHED}/>'
-        x, y = (
-            (across(stride.t_s[-1]) + 5, up(values[-1]) + 4)
-            if last
-            else (across(stride.t_s[begin]) + 4, up(values[0]) - 4)
+        yield (
+            f'<path d="{path(0, values)}" fill="none" stroke="{INK}" stroke-width="1.6" stroke-dasharray="{dash}" '
+            f'clip-path="url(#frame{top})"/>'
         )
-        while any(abs(x - a) < 100 and abs(y - b) < 12 for a, b in placed):
-            y += 12
-        placed.append((x, y))
-        yield f'<text x="{x:.1f}" y="{y:.1f}" font-size="11" fill="{color}" {HALO}>{guard} {threshold}</text>'
+    words: dict[str, list[tuple[float, str]]] = defaultdict(list)
+    for guard, said, begin, values in lines:
+        yield f'<path d="{path(begin, values)}" fill="none" stroke="{COLORS[guard]}" stroke-width="1.4" {DASHED}/>'
+        if said:
+            words[guard].append((up(values[-1] if guard == "T4" else values[0]), said))
+    for guard, each in words.items():
+        (begin,) = {begin for name, _, begin, _ in lines if name == guard}
+        x = WIDTH - RIGHT + 5 if guard == "T4" else across(stride.t_s[begin]) + 4  # T4's stand in the margin
+        lowest = top
+        for y, said in sorted(each):
+            lowest = max(lowest + 12, y + 4 if guard == "T4" else y - 4)
+            yield f'<text x="{x:.1f}" y="{lowest:.1f}" font-size="11" fill="{COLORS[guard]}" {HALO}>{said}</text>'
     drawn = ", ".join(f"{name} {shown}" for name, shown in zip(names, ("drawn through", "dashed"), strict=False))
     said = label if len(names) == 1 else f"{label}: {drawn}"
     yield f'<text x="{LEFT + 6}" y="{top + 15}" font-weight="bold" {HALO}>{said}</text>'
-    yield f'<rect x="{LEFT}" y="{top}" width="{WIDTH - LEFT - RIGHT}" height="{TALL}" fill="none" stroke="{GREY}"/>'
+    yield f'<rect {frame} fill="none" stroke="{GREY}"/>'
 
 
 def stride_picture(stride: Shown) -> str:
@@ -372,9 +394,8 @@ def stride_picture(stride: Shown) -> str:
             f'<text x="{x:.1f}" y="34" text-anchor="middle" font-weight="bold" fill="{COLORS[transition.name]}">'
             f"{transition.name}</text>"
         )
-    for number, (of, label, names) in enumerate(PANELS):
-        top = TOP + number * (TALL + BETWEEN)
-        marks += panel(stride, of, label, names, top, across)
+    for number, each in enumerate(PANELS):
+        marks += panel(stride, each, TOP + number * (TALL + BETWEEN), across)
     for t_s in nice_ticks(0.0, end_s, 8):
         marks.append(f'<text x="{across(t_s):.1f}" y="{height - 30}" text-anchor="middle">{t_s:g}</text>')
     middle = (LEFT + WIDTH - RIGHT) / 2

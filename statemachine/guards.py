@@ -95,7 +95,8 @@ class Thresholds(NamedTuple):
     """T1: Only a swing, whose beginning was missed, turns the foot toe-up faster than this share of a fall. Origin:
     data."""
     swung_after_s: float = 0.25
-    """T1: A contact's rebound may turn it as fast, but is over by then, whatever the cadence. Origin: data."""
+    """T1: A contact's rebound, which turns the foot toe-up as fast as a swing, has ended this long after contact,
+    whatever the cadence. Origin: data."""
     push_off_share: float = 0.4
     """T2: A push-off has been seen once the toe-down rate has reached this share of its typical peak. Origin:
     data."""
@@ -106,7 +107,7 @@ class Thresholds(NamedTuple):
     """T2: A foot that travels, its push-off held back by stimulation, turns toe-up faster than this share of its
     rate. Origin: virtual slow walkers (`tests/stimulation/test_slow_walkers.py`)."""
     swing_at_reversal: bool = False
-    """T2: Swing waits until the foot turns toe-up. Origin: the paper's text, against its formula."""
+    """T2: Whether swing waits until the foot turns toe-up. Origin: the paper's text, against its formula."""
     shortest_swing_share: float = 0.6
     """T3: No contact comes before this share of the typical swing has passed; the jolts of foot off end before.
     Origin: data."""
@@ -125,18 +126,21 @@ class Thresholds(NamedTuple):
     soft_contact_share: float = 0.3
     """T3: After this share of the typical swing at rest, a foot has landed without a jolt. Origin: data."""
     soft_contact_s: float = 0.04
-    """T3: So it has after this long at rest with nothing but gravity upon it. Origin: by hand."""
+    """T3: After this long at rest with nothing but gravity upon it, too, a foot has landed without a jolt. Origin:
+    by hand."""
     shortest_loading_s: float = 0.03
     """T4: No foot is flat sooner after contact; the jolt of contact ends before. Origin: by hand."""
     flat_rad: float = 0.03
-    """T4: A flat foot's pitch is within this angle, 1.7°, of this person's flat one … Origin: data."""
+    """T4: A foot is flat while its pitch, `settling_s` counted, is within this angle, 1.7°, of this person's flat
+    one. Origin: data."""
     settling_s: float = 0.02
-    """T4: … with what it would turn in this time, at the rate it has, added. Origin: by hand."""
+    """T4: A foot that still turns counts as further from flat by what it turns in this time at the rate it has.
+    Origin: by hand."""
     settled_share: float = 0.45
-    """T4: A foot has come down once its turn has died away to this share of its peak since contact … Origin:
-    data."""
+    """T4: A foot near flat has come down once its turn has died away to this share of its peak since contact.
+    Origin: data."""
     near_sds: float = 3.0
-    """T4: … within so many standard deviations of flat, by how well its pitch is known after a swing. Origin: three
+    """T4: A pitch is near flat within so many of the standard deviations that it has after a swing. Origin: three
     standard deviations, as is usual."""
     settled_after_s: float = 0.08
     """T4: A foot that has stood still for this long is flat. Origin: by hand."""

@@ -63,7 +63,7 @@ def test_every_comparison_of_a_guard_is_always_made(row: Row) -> None:
 
 def late(x: Features, p: Thresholds) -> bool:
     """Only for this test."""
-    least_s = 2.0 * min(p.stride_s, p.longest_swing_stride_s)
+    least_s = 2.0 * min(p.stride_s, p.longest_loadings)
     turned = (abs(x.toe_down_radps) > 1.0 - 0.5 * p.push_off_drop) | (-x.turned_rad > 0.5) | (p.swing_at_reversal == NO)
     return (x.in_swing_s - 1.0 >= least_s) & (x.travelling == YES) & turned
 
