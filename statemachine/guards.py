@@ -105,7 +105,7 @@ class Thresholds(NamedTuple):
     which asks for any fall; the share by hand."""
     carried_share: float = 0.1
     """T2: A foot that travels, its push-off held back by stimulation, turns toe-up faster than this share of its
-    rate. Origin: virtual slow walkers (`tests/stimulation/test_slow_walkers.py`)."""
+    rate. Origin: virtual slow walkers."""
     swing_at_reversal: bool = False
     """T2: Whether swing waits until the foot turns toe-up. Origin: the paper's text, against its formula."""
     shortest_swing_share: float = 0.6
