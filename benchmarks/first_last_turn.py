@@ -223,9 +223,9 @@ class Trace:
             fast = [one for one in x if one.toe_down_radps > p["heel_rise_share"] * rate]
             if not fast:
                 return "no T1: rate below heel_rise_share"
-            if not any(one.turned_rad > p["heel_rise_rad"] for one in fast):
-                return "no T1: turned less than heel_rise_rad"
-            return "no T1: before heel_rise_after"
+            if not any(one.turned_rad > p["turn_rad"] for one in fast):
+                return "no T1: turned less than turn_rad"
+            return "no T1: before lifts_after"
         if 2 in phases and phases[0] == 2:
             return "in swing already"
         if phases[-1] == 1:
@@ -267,10 +267,13 @@ def held_by(x: Any, p: Any) -> list[str]:
     if x.in_swing_s < p["shortest_swing_share"] * p["swing_s"]:
         found.append("shortest_swing_share")
     fell = x.toe_down_peak_radps + x.toe_up_peak_radps
-    if fell < p["mid_swing_share"] * p["fall_radps"] and x.toe_up_peak_radps < p["toe_up_share"] * rate:
+    seen = fell >= p["mid_swing_share"] * p["fall_radps"] or x.toe_up_peak_radps >= p["toe_up_share"] * rate
+    if not (seen or x.swung_rad > p["swung_rad"]):
         found.append("mid_swing_share")
-    if -x.toe_down_radps >= p["rising_share"] * x.toe_up_peak_radps:
-        found.append("rising_share")
+    rising = -x.toe_down_radps / max(x.toe_up_peak_radps, 1e-9)
+    slowed = x.speed_share < p["slowed_share"] and rising < p["slowed_share"]
+    if not (slowed or (x.fallen_rad > p["turn_rad"] and rising < p["rising_share"])):
+        found.append("slowed_share")
     return found
 
 

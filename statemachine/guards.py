@@ -29,6 +29,8 @@ class Features(NamedTuple):
     force where that is more, per second. ``in_swing_s`` counts from foot off, ``since_contact_s`` from contact.
     ``resting_s`` is how long the foot has hardly turned, ``settled_s`` how long it has stood still since contact,
     ``calm_s`` how long its force has been gravity's alone. ``travelling``: its dead-reckoned speed says that it moves.
+    ``speed_share`` is that speed as a share of its peak in this swing. ``swung_rad`` is how far the foot has turned
+    toe-up since foot off, from its lowest pitch, and ``fallen_rad`` how far it has come down again from its highest.
     """
 
     toe_down_radps: float
@@ -44,6 +46,9 @@ class Features(NamedTuple):
     resting_s: float
     settled_s: float
     calm_s: float
+    speed_share: float
+    swung_rad: float
+    fallen_rad: float
     travelling: bool
 
 
@@ -71,26 +76,22 @@ class Thresholds(NamedTuple):
     strides."""
     contact_jerk_mps3: float = 2000.0
     """measure: The typical jump of the force at contact. Origin: calibration and the strides."""
-    rest_share: float = 0.18
-    """T3, T5, T6: The foot is at rest while it turns more slowly than this share of its rate. Origin: data."""
+    rest_share: float = 0.15
+    """T2, T3, T4, T5, T6: A foot rests while it turns more slowly than this share of its rate; above it, it turns.
+    Origin: data."""
     still_radps: float = 0.25
     """T1, T4: The foot stands still while it turns more slowly than this, 14°/s. Origin: as in the orientation
     filter (`STANDING_RADPS`)."""
-    still_share: float = 0.05
-    """T1, T4: A brisk foot, which never turns so slowly, stands still below this share of its rate. Origin: by
-    hand."""
-    heel_rise_rad: float = 0.04
-    """T1: The foot has turned toe-down by this angle, 2.3°, since it last stood still: the heel is about 5 mm up.
-    Origin: data."""
+    turn_rad: float = 0.04
+    """T1, T3: A foot has turned when it has by this angle, 2.3°: toe-down since it last stood still, and its heel is
+    about 5 mm up; toe-down from its highest pitch in swing, and it is coming down. Origin: data."""
     heel_rise_share: float = 0.12
     """T1: With its heel up, the foot goes on turning toe-down faster than this share of its rate. Origin: data."""
-    heel_rise_after: float = 0.26
-    """T1: No heel rises before this share of the stride has passed since contact. Origin: data."""
+    lifts_after: float = 0.33
+    """T1: No foot lifts before this share of the stride has passed since contact. Origin: data."""
     toe_up_share: float = 0.3
     """T1, T2, T3: A foot that is dragged off without a push-off turns toe-up faster than this share of its rate.
     Origin: data."""
-    toe_up_after: float = 0.35
-    """T1: No foot is dragged off before this share of the stride has passed since contact. Origin: by hand."""
     swung_share: float = 0.45
     """T1: Only a swing, whose beginning was missed, turns the foot toe-up faster than this share of a fall. Origin:
     data."""
@@ -103,9 +104,9 @@ class Thresholds(NamedTuple):
     push_off_drop: float = 0.07
     """T2: The peak is over once the rate has fallen by this share of it; a ripple falls by less. Origin: the paper,
     which asks for any fall; the share by hand."""
-    carried_share: float = 0.1
-    """T2: A foot that travels, its push-off held back by stimulation, turns toe-up faster than this share of its
-    rate. Origin: virtual slow walkers."""
+    swung_rad: float = 0.15
+    """T2, T3: A foot that leaves the ground has turned toe-down by this angle, 9°, and one that has swung has turned
+    toe-up by it. Origin: data."""
     swing_at_reversal: bool = False
     """T2: Whether swing waits until the foot turns toe-up. Origin: the paper's text, against its formula."""
     shortest_swing_share: float = 0.6
@@ -114,20 +115,18 @@ class Thresholds(NamedTuple):
     mid_swing_share: float = 0.65
     """T3: Mid-swing has been seen once toe-down peak and toe-up peak together make this share of a fall. Origin:
     data."""
-    rising_share: float = 0.4
-    """T3: Mid-swing is over once the foot turns toe-up no faster than this share of the swing's peak. Origin:
-    data."""
-    landed_share: float = 0.15
-    """T3, T4: A foot that has landed turns faster than this share of its rate, toe-down (T3) or either way (T4).
-    Origin: by hand."""
+    slowed_share: float = 0.75
+    """T3: Mid-swing is over once the speed of the foot and its toe-up rate are both below this share of their peaks
+    in this swing; a scuff comes at full speed. Origin: data."""
+    rising_share: float = 0.25
+    """T3: Of a foot that comes down, mid-swing is over once its toe-up rate is below this share of its peak.
+    Origin: data."""
     jerk_share: float = 0.3
     """T3: The force jumps at contact by more than this share of its typical jump. Origin: the paper's jump; the
     share data."""
-    soft_contact_share: float = 0.3
-    """T3: After this share of the typical swing at rest, a foot has landed without a jolt. Origin: data."""
     soft_contact_s: float = 0.04
-    """T3: After this long at rest with nothing but gravity upon it, too, a foot has landed without a jolt. Origin:
-    by hand."""
+    """T3: After this long at rest with nothing but gravity upon it, a foot has landed without a jolt. Origin: by
+    hand."""
     shortest_loading_s: float = 0.03
     """T4: No foot is flat sooner after contact; the jolt of contact ends before. Origin: by hand."""
     flat_rad: float = 0.03
@@ -159,10 +158,10 @@ def t1(x: Features, p: Thresholds) -> bool:
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     heel_rises = (
         (x.toe_down_radps > p.heel_rise_share * rate)
-        & (x.turned_rad > p.heel_rise_rad)
-        & (x.since_contact_s > p.heel_rise_after * p.stride_s)
+        & (x.turned_rad > p.turn_rad)
+        & (x.since_contact_s > p.lifts_after * p.stride_s)
     )
-    dragged_off = (-x.toe_down_radps > p.toe_up_share * rate) & (x.since_contact_s > p.toe_up_after * p.stride_s)
+    dragged_off = (-x.toe_down_radps > p.toe_up_share * rate) & (x.since_contact_s > p.lifts_after * p.stride_s)
     swings = (-x.toe_down_radps > p.swung_share * p.fall_radps) & (x.since_contact_s > p.swung_after_s)
     return heel_rises | dragged_off | swings
 
@@ -171,39 +170,41 @@ def t2(x: Features, p: Thresholds) -> bool:
     """Pre-swing → swing: the toe-down rate has passed its peak (toe-off), or the foot already turns toe-up.
 
     The paper's formula (the derivative turns negative), not its text (the rate changes sign), which comes some 60 ms
-    after foot off; ``swing_at_reversal`` asks for the text's. The peak must be a push-off's, and must be left by
-    ``push_off_drop``. Stimulation may hold the foot back so much that neither its push-off nor its turn toe-up is
-    like those without: where the foot travels, its turn alone decides.
+    after foot off; ``swing_at_reversal`` asks for the text's. The peak must be a push-off's, of a foot that has turned
+    as far as one that leaves, and must be left by ``push_off_drop``. Stimulation may hold the foot back so much that
+    neither its push-off nor its turn toe-up is like those without: where the foot travels, its turn alone decides.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     pushed_off = (
         (x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps)
         & (x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps)
+        & (x.turned_rad > p.swung_rad)
         & ((x.toe_down_radps < 0.0) | (p.swing_at_reversal == NO))
     )
     dragged_off = -x.toe_down_radps > p.toe_up_share * rate
-    carried = (x.travelling == YES) & (-x.toe_down_radps > p.carried_share * rate)
+    carried = (x.travelling == YES) & (-x.toe_down_radps > p.rest_share * rate)
     return pushed_off | dragged_off | carried
 
 
 def t3(x: Features, p: Thresholds) -> bool:
     """Swing → loading response: after mid-swing the force jumps, or the foot turns toe-down, or it has come to rest.
 
-    The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. It knows no soft contact.
+    The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. A toe that scuffs jolts
+    too, at full speed and while the foot still turns toe-up. The paper knows no soft contact.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     long_enough = x.in_swing_s >= p.shortest_swing_share * p.swing_s
-    mid_swing_seen = (x.toe_down_peak_radps + x.toe_up_peak_radps >= p.mid_swing_share * p.fall_radps) | (
-        x.toe_up_peak_radps >= p.toe_up_share * rate
+    mid_swing_seen = (
+        (x.toe_down_peak_radps + x.toe_up_peak_radps >= p.mid_swing_share * p.fall_radps)
+        | (x.toe_up_peak_radps >= p.toe_up_share * rate)
+        | (x.swung_rad > p.swung_rad)
     )
-    mid_swing_over = -x.toe_down_radps < p.rising_share * x.toe_up_peak_radps
-    turned_down = x.toe_down_radps > p.landed_share * rate
+    slowed = (x.speed_share < p.slowed_share) & (-x.toe_down_radps < p.slowed_share * x.toe_up_peak_radps)
+    comes_down = (x.fallen_rad > p.turn_rad) & (-x.toe_down_radps < p.rising_share * x.toe_up_peak_radps)
+    turned_down = x.toe_down_radps > p.rest_share * rate
     jolted = x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
-    lies = (x.resting_s > p.soft_contact_share * p.swing_s) | (
-        (x.resting_s > p.soft_contact_s) & (x.calm_s > p.soft_contact_s)
-    )
-    landed = turned_down | jolted | (lies & (x.travelling == NO))
-    return long_enough & mid_swing_seen & mid_swing_over & landed
+    lies = (x.resting_s > p.soft_contact_s) & (x.calm_s > p.soft_contact_s) & (x.travelling == NO)
+    return long_enough & mid_swing_seen & (((slowed | comes_down) & (turned_down | jolted)) | lies)
 
 
 def t4(x: Features, p: Thresholds) -> bool:
@@ -217,7 +218,7 @@ def t4(x: Features, p: Thresholds) -> bool:
     jolt_over = x.since_contact_s > p.shortest_loading_s
     flat = abs(x.pitch_rad) + p.settling_s * abs(x.toe_down_radps) < p.flat_rad
     settled = (
-        (x.landing_peak_radps > p.landed_share * rate)
+        (x.landing_peak_radps > p.rest_share * rate)
         & (abs(x.toe_down_radps) < p.settled_share * x.landing_peak_radps)
         & (abs(x.pitch_rad) < p.near_sds * x.pitch_sd_rad)
     )

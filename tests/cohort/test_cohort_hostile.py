@@ -374,7 +374,7 @@ def test_what_toml_cannot_read_is_a_word(text: str) -> None:
 def test_more_than_can_be_tried_is_refused(count: int, sample: int | None) -> None:
     axes = [
         parse_axis(f"thresholds.{name}=0:1:{count}")
-        for name in ("rest_share", "heel_rise_share", "push_off_share", "soft_contact_share")
+        for name in ("rest_share", "heel_rise_share", "push_off_share", "slowed_share")
     ]
     axes = axes if count > 1000 else axes[:3]
     with pytest.raises(CohortError, match="combinations are"):

@@ -248,7 +248,7 @@ def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
     tried = [
         Point(),
         Point((("thresholds.heel_rise_share", Factor(1.0)),)),
-        Point(tuple((f"thresholds.{share}", 50.0) for share in ("push_off_share", "toe_up_share", "carried_share"))),
+        Point(tuple((f"thresholds.{share}", 50.0) for share in ("push_off_share", "toe_up_share", "rest_share"))),
     ]
     tried.append(Point((("stimulation.strides_before_start", 0),)))
     tried.append(Point((("stimulation.strides_before_start", 20),)))

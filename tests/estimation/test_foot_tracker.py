@@ -658,14 +658,21 @@ def test_a_halt_outside_stance_is_neither_flat_nor_the_beginning_of_a_turn(phase
     assert (x.turned_rad, x.pitch_rad) == pytest.approx((0.3, -0.3), abs=1e-3)
 
 
-def test_still_is_below_a_rate_or_below_a_share_of_a_brisk_foots() -> None:
-    for push_off_radps in (2.0, 20.0):
-        core = Core(Phase.LOADING_RESPONSE)
-        core.core.thresholds.push_off_radps = push_off_radps
-        p = core.measures()
-        limit = max(p.still_radps, p.still_share * max(push_off_radps, 0.5 * p.fall_radps))
-        seen = [core.feed(0.01, (0.0, rate, 0.0))[-1].settled_s for rate in (1.001 * limit, 0.999 * limit, 0.0)]
-        assert seen == pytest.approx([0.0, 0.01, 0.02]), push_off_radps
+def test_it_stands_still_below_a_rate() -> None:
+    core = Core(Phase.LOADING_RESPONSE)
+    limit = core.measures().still_radps
+    seen = [core.feed(0.01, (0.0, rate, 0.0))[-1].settled_s for rate in (1.001 * limit, 0.999 * limit, 0.0)]
+    assert seen == pytest.approx([0.0, 0.01, 0.02])
+
+
+def test_how_far_it_has_turned_in_swing_counts_from_foot_off() -> None:
+    core = Core(Phase.PRE_SWING)
+    core.feed(0.1, DOWN)
+    enter_phase(core.core, int(Phase.SWING))
+    x = core.feed(0.1, DOWN)[-1]
+    assert (x.swung_rad, x.fallen_rad) == pytest.approx((0.0, 0.3), abs=1e-3)
+    x = core.feed(0.2, tuple(-rate for rate in DOWN))[-1]
+    assert (x.swung_rad, x.fallen_rad) == pytest.approx((0.6, 0.0), abs=1e-3)
 
 
 def test_it_has_settled_since_contact_at_the_earliest() -> None:

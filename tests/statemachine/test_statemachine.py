@@ -43,23 +43,23 @@ TOE_UP, WEAK_TOE_UP = P.toe_up_share * RATE, P.toe_up_share * WEAK_RATE
 UP_RADPS = P.fall_radps - RATE
 SWUNG = P.swung_share * P.fall_radps
 JERK_MPS3 = P.jerk_share * P.contact_jerk_mps3
-RISE_AFTER_S, TOE_UP_AFTER_S = P.heel_rise_after * P.stride_s, P.toe_up_after * P.stride_s
-SWING_S, SOFT_S, PUT_BACK_S = (
-    share * P.swing_s for share in (P.shortest_swing_share, P.soft_contact_share, P.put_back_share)
-)
+LIFTS_AFTER_S = P.lifts_after * P.stride_s
+SWING_S, PUT_BACK_S = P.shortest_swing_share * P.swing_s, P.put_back_share * P.swing_s
 LOADED_S = P.longest_loadings * P.loading_s
-LANDED, WEAK_LANDED = P.landed_share * RATE, P.landed_share * WEAK_RATE
+LANDED, WEAK_LANDED = P.rest_share * RATE, P.rest_share * WEAK_RATE
 HEEL_RISE = NOTHING._replace(
     toe_down_radps=2.0 * P.heel_rise_share * RATE,
-    turned_rad=2.0 * P.heel_rise_rad,
-    since_contact_s=2.0 * RISE_AFTER_S,
+    turned_rad=2.0 * P.turn_rad,
+    since_contact_s=2.0 * LIFTS_AFTER_S,
 )
-TOE_OFF = NOTHING._replace(toe_down_peak_radps=RATE, toe_down_radps=0.5 * RATE)
+TOE_OFF = NOTHING._replace(toe_down_peak_radps=RATE, toe_down_radps=0.5 * RATE, turned_rad=2.0 * P.swung_rad)
 CONTACT = NOTHING._replace(
     toe_down_peak_radps=RATE,
     toe_up_peak_radps=UP_RADPS,
     contact_jerk_mps3=2.0 * JERK_MPS3,
     in_swing_s=2.0 * SWING_S,
+    fallen_rad=2.0 * P.turn_rad,
+    speed_share=1.0,
 )
 FLAT = NOTHING._replace(pitch_rad=0.0, since_contact_s=2.0 * P.shortest_loading_s)
 RESTING = NOTHING._replace(resting_s=2.0 * PUT_BACK_S)
@@ -105,12 +105,15 @@ def beyond(transition: Transition, about: str, name: str, limit: float, **others
 
 
 T1, T2, T3, T4, T5, T6 = GUARDS
-UNTURNED: dict[str, Any] = {"turned_rad": 0.0, "since_contact_s": 2.0 * TOE_UP_AFTER_S}
+UNTURNED: dict[str, Any] = {"turned_rad": 0.0, "since_contact_s": 2.0 * LIFTS_AFTER_S}
 DRAGGED: dict[str, Any] = {"toe_down_peak_radps": 0.0}
 CARRIED: dict[str, Any] = {**DRAGGED, "travelling": True}
 SHUFFLED: dict[str, Any] = {**DRAGGED, "toe_down_radps": 0.01}  # hardly a fall
 SILENT: dict[str, Any] = {"contact_jerk_mps3": 0.0}
-CALM: dict[str, Any] = {**SILENT, "resting_s": SOFT_S, "calm_s": 2.0 * P.soft_contact_s}
+CALM_S = above(P.soft_contact_s)
+CALM: dict[str, Any] = {"contact_jerk_mps3": 0.0, "fallen_rad": 0.0, "resting_s": CALM_S, "calm_s": CALM_S}
+SCUFFS: dict[str, Any] = {"fallen_rad": 0.0}
+SLOWED: dict[str, Any] = {"fallen_rad": 0.0, "speed_share": 0.5 * P.slowed_share}
 TILTED: dict[str, Any] = {"pitch_rad": 1.0}
 PEAK = 2.0 * LANDED
 PLATEAU: dict[str, Any] = {"pitch_rad": 2.0 * P.flat_rad, "pitch_sd_rad": P.flat_rad, "landing_peak_radps": PEAK}
@@ -121,22 +124,23 @@ CASES: list[Case] = [
     *((transition, "all of it", {}, True) for transition in GUARDS),
     *beyond(T1, "fast enough", "toe_down_radps", P.heel_rise_share * RATE),
     *beyond(T1, "fast enough for a weak push-off", "toe_down_radps", P.heel_rise_share * WEAK_RATE, **WEAK),
-    *beyond(T1, "turned enough since it stood still", "turned_rad", P.heel_rise_rad),
-    *beyond(T1, "late enough after contact", "since_contact_s", RISE_AFTER_S),
+    *beyond(T1, "turned enough since it stood still", "turned_rad", P.turn_rad),
+    *beyond(T1, "late enough after contact", "since_contact_s", LIFTS_AFTER_S),
     *beyond(T1, "dragged off", "toe_down_radps", -TOE_UP, **UNTURNED),
     *beyond(T1, "dragged off after a weak push-off", "toe_down_radps", -WEAK_TOE_UP, **UNTURNED, **WEAK),
-    *beyond(T1, "dragged off late enough", "since_contact_s", TOE_UP_AFTER_S, toe_down_radps=-above(TOE_UP)),
+    *beyond(T1, "dragged off late enough", "since_contact_s", LIFTS_AFTER_S, toe_down_radps=-above(TOE_UP)),
     *beyond(T1, "a swing that stance missed", "toe_down_radps", -SWUNG, since_contact_s=above(P.swung_after_s)),
     *beyond(T1, "later than a rebound", "since_contact_s", P.swung_after_s, toe_down_radps=-above(SWUNG)),
     *edge(T2, "a push-off", "toe_down_peak_radps", LEAST_PEAK, below(LEAST_PEAK), toe_down_radps=0.0),
     *edge(T2, "more than a ripple", "toe_down_radps", below(LEFT), LEFT),
+    *beyond(T2, "turned as a foot that leaves", "turned_rad", P.swung_rad),
     *edge(T2, "reversed, as asked", "toe_down_radps", below(0.0), 0.0, swing_at_reversal=True),
     *beyond(T2, "dragged off", "toe_down_radps", -TOE_UP, **DRAGGED),
     *beyond(T2, "dragged off, asked to be reversed", "toe_down_radps", -TOE_UP, **DRAGGED, swing_at_reversal=True),
     *beyond(T2, "dragged off after a weak push-off", "toe_down_radps", -WEAK_TOE_UP, **DRAGGED, **WEAK),
-    *beyond(T2, "carried along", "toe_down_radps", -P.carried_share * RATE, **CARRIED),
-    *beyond(T2, "carried after a weak push-off", "toe_down_radps", -P.carried_share * WEAK_RATE, **CARRIED, **WEAK),
-    (T2, "a heel that is put back", {**DRAGGED, "toe_down_radps": -above(P.carried_share * RATE)}, False),
+    *beyond(T2, "carried along", "toe_down_radps", -P.rest_share * RATE, **CARRIED),
+    *beyond(T2, "carried after a weak push-off", "toe_down_radps", -P.rest_share * WEAK_RATE, **CARRIED, **WEAK),
+    (T2, "a heel that is put back", {**DRAGGED, "toe_down_radps": -above(P.rest_share * RATE)}, False),
     *beyond(T3, "a jump", "contact_jerk_mps3", JERK_MPS3),
     *edge(T3, "later than the jolt of foot off", "in_swing_s", SWING_S, below(SWING_S)),
     (T3, "as soon in a slow stride", {"in_swing_s": SWING_S, "stride_s": 3.0 * P.stride_s}, True),
@@ -149,11 +153,14 @@ CASES: list[Case] = [
     *edge(T3, "after mid-swing", "toe_down_radps", above(-P.rising_share * UP_RADPS), -P.rising_share * UP_RADPS),
     *beyond(T3, "landed", "toe_down_radps", LANDED, **SILENT),
     *beyond(T3, "landed after a weak push-off", "toe_down_radps", WEAK_LANDED, **SILENT, **WEAK),
-    *beyond(T3, "at rest", "resting_s", SOFT_S, **SILENT),
-    *beyond(T3, "at rest with gravity alone", "resting_s", P.soft_contact_s, **SILENT, calm_s=SOFT_S),
-    *beyond(T3, "gravity alone", "calm_s", P.soft_contact_s, **SILENT, resting_s=SOFT_S),
-    (T3, "glides", {**SILENT, "resting_s": 2.0 * SOFT_S, "travelling": True}, False),
-    (T3, "glides without a force", {**CALM, "travelling": True}, False),
+    *beyond(T3, "coming down", "fallen_rad", P.turn_rad),
+    *edge(T3, "slowed", "speed_share", below(P.slowed_share), P.slowed_share, **SCUFFS),
+    *edge(T3, "slowed and past mid-swing", "toe_down_radps", above(-P.slowed_share * UP_RADPS),
+          -P.slowed_share * UP_RADPS, **SLOWED),
+    *beyond(T3, "swung without a rate", "swung_rad", P.swung_rad, **SHUFFLED, toe_up_peak_radps=0.0),
+    *beyond(T3, "at rest with gravity alone", "resting_s", P.soft_contact_s, **{**CALM, "resting_s": 0.0}),
+    *beyond(T3, "gravity alone", "calm_s", P.soft_contact_s, **{**CALM, "calm_s": 0.0}),
+    (T3, "glides", {**CALM, "travelling": True}, False),
     *beyond(T4, "later than the jolt of contact", "since_contact_s", P.shortest_loading_s),
     *edge(T4, "flat from toe-up", "pitch_rad", below(P.flat_rad), P.flat_rad),
     *edge(T4, "flat from toe-down", "pitch_rad", above(-P.flat_rad), -P.flat_rad),
@@ -362,15 +369,18 @@ def _grid() -> list[tuple[Any, ...]]:
             (peak,),
             (up,),
             beside(LANDED),
-            beside(P.heel_rise_rad),
+            (P.turn_rad, above(P.turn_rad), above(P.swung_rad)),
             (0.0, below(-OFF_RAD), above(-OFF_RAD)),
             (P.flat_rad,),
             beside(JERK_MPS3),
             beside(below(SWING_S)),
-            (P.shortest_loading_s, *map(above, (P.shortest_loading_s, RISE_AFTER_S, LOADED_S))),
-            (P.soft_contact_s, *map(above, (P.soft_contact_s, SOFT_S, PUT_BACK_S))),
+            (P.shortest_loading_s, *map(above, (P.shortest_loading_s, LIFTS_AFTER_S, LOADED_S))),
+            (P.soft_contact_s, *map(above, (P.soft_contact_s, PUT_BACK_S))),
             beside(P.settled_after_s),
-            beside(P.soft_contact_s),
+            (above(P.soft_contact_s),),
+            beside(below(P.slowed_share)),
+            (0.0,),
+            (P.turn_rad, above(P.turn_rad)),
             (False, True),
         )
     return rows
@@ -384,7 +394,8 @@ def _fired(values: np.ndarray, p: Thresholds, out: np.ndarray) -> None:
     for i in range(values.shape[0]):
         v = values[i]
         x = Features(
-            v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13] != 0.0
+            v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13],
+            v[14], v[15], v[16] != 0.0
         )  # fmt: skip
         for phase in range(4):
             out[i, phase] = kernel.first_transition(phase, x, p)

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from fes.cohort.sweep.grid import Point
-from fes.cohort.sweep.task import with_thresholds
-from fes.estimation.foot.calibration import FootCalibration
 from fes.simulation.forward import VirtualPatient
 from fes.simulation.forward.gait_patterns import PATTERNS
 
@@ -26,19 +23,6 @@ finally:
 SEED, STRIDES = 17, 25
 SETTLED = 10  # strides: the first ones of hemiparetic_1 end twice (T6), and three in order must come after that
 STIMULATED = 0.7  # of a swing: from the last pulse before its middle to the last one in it
-
-
-@pytest.mark.slow
-def test_without_the_clause_for_a_foot_that_is_carried_along_heels_are_put_back() -> None:
-    """The heels put back are really counted."""
-    settings, calibration, _ = patient(
-        SEED, lambda drawn: replace(drawn, pattern="hemiparetic_5", speed_mps=PATTERNS["hemiparetic_5"].speed_mps)
-    )
-    point = Point((("thresholds.carried_share", 50.0),))
-    (without,) = with_thresholds({"right_foot": calibration}, point).values()
-    assert isinstance(without, FootCalibration)
-    session = session_of(VirtualPatient(settings).geometry["right_foot"], "learning", 26.0, 5.0)
-    assert walk(settings, session, without, 60.0, 10).put_back > 0
 
 
 @pytest.mark.slow

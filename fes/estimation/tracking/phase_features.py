@@ -54,6 +54,8 @@ FIELDS: list[Any] = [
     ("velocity", np.float64, 3),  # dead-reckoned
     ("speed", np.float64),
     ("peak_speed", np.float64),
+    ("lowest_rad", np.float64),  # least and greatest pitch since swing began
+    ("highest_rad", np.float64),
     ("calibrated", np.dtype(MEASURES)),
 ]
 
@@ -73,6 +75,7 @@ def start_phases(core: Record, t_ns: int) -> None:
         known.stride_s, known.swing_s, known.loading_s = thresholds.stride_s, thresholds.swing_s, thresholds.loading_s
         known.contact_jerk_mps3 = thresholds.contact_jerk_mps3
     state.samples = 0
+    state.lowest_rad = state.highest_rad = 0.0
     state.t_ns = t_ns
     state.phase = 0
     state.swing_ns = t_ns
@@ -102,6 +105,9 @@ def features(state: Record) -> Features:
         resting_s,
         1e-9 * (state.t_ns - state.unsettled_ns),
         1e-9 * (state.t_ns - state.lively_ns),
+        state.speed / max(state.peak_speed, STILL_MPS),
+        state.pitch_rad - state.lowest_rad,
+        state.highest_rad - state.pitch_rad,
         resting_s < max(LONG_REST_S, LONG_REST_SHARE * state.calibrated.stride_s)
         and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
     )
@@ -134,7 +140,7 @@ def observe(core: Record, toe_down: float, rate_radps: float, contact_jerk: floa
     state.greatest_jerk = max(state.greatest_jerk, contact_jerk)
     if rate_radps >= thresholds.rest_share * level:
         state.turning_ns = state.t_ns
-    _pitch(core, toe_down, rate_radps, max(thresholds.still_radps, thresholds.still_share * level), dt_s)
+    _pitch(core, toe_down, rate_radps, thresholds.still_radps, dt_s)
 
 
 @jit_ieee
@@ -145,6 +151,8 @@ def _pitch(core: Record, toe_down: float, rate_radps: float, still_radps: float,
     state, thresholds = core.state, core.thresholds
     state.pitch_rad -= toe_down * dt_s
     state.turned_rad += toe_down * dt_s
+    state.lowest_rad = min(state.lowest_rad, state.pitch_rad)
+    state.highest_rad = max(state.highest_rad, state.pitch_rad)
     if state.phase == 3:
         state.landing_peak = max(state.landing_peak, abs(toe_down))
     if state.phase == 3 or state.phase == 0:
@@ -190,6 +198,7 @@ def enter_phase(core: Record, phase: int) -> None:
         state.turning_ns = state.t_ns  # the heel rises: whatever rest was before does not count
     elif phase == 2:
         state.toe_up_peak = 0.0
+        state.lowest_rad = state.highest_rad = state.pitch_rad
         state.greatest_jerk = 0.0
         state.swing_ns = state.t_ns
     elif phase == 3:
