@@ -1,6 +1,6 @@
 """Channels and their limits: what may be stimulated, with what, when."""
 
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -28,7 +28,8 @@ class Channel(Settings):
 
     The envelope rises over ``rise_s`` when the foot enters ``start_phase`` (plus ``start_delay_s``), holds,
     goes on ``extension_s`` past the entry into ``stop_phase``, and falls over ``fall_s``. It is off at once in
-    any phase outside start … stop.
+    any phase outside start … stop. With ``onset = "predicted"`` a burst may begin before the foot is seen to enter
+    pre-swing, while this person's heel rise is foreseen well (``fes.stimulation.onset``).
     """
 
     name: str = Field(min_length=1, max_length=60)
@@ -40,6 +41,7 @@ class Channel(Settings):
     pulse_width_us: float = Field(gt=0, le=limits.MAX_PULSE_WIDTH_US)
     frequency_hz: float = Field(gt=0, le=limits.MAX_FREQUENCY_HZ)
     start_phase: Phase = "pre_swing"
+    onset: Literal["detected", "predicted"] = "detected"
     start_delay_s: float = Field(default=0.0, ge=0, le=1.0)
     stop_phase: Phase = "loading_response"
     rise_s: float = Field(default=0.15, gt=0, le=1.0)
@@ -71,6 +73,17 @@ class Channel(Settings):
             raise ValueError(f"never_with names the channel itself ({self.number})")
         if self.start_phase == self.stop_phase:
             raise ValueError(f"start_phase and stop_phase are both {self.start_phase!r}")
+        return self
+
+    @model_validator(mode="after")
+    def _a_predicted_onset_is_a_heel_rise(self) -> Self:
+        if self.onset == "predicted":
+            if self.start_phase != "pre_swing" or self.start_delay_s > 0.0:
+                raise ValueError(
+                    'onset = "predicted" is for channels that start with start_phase = "pre_swing" and start_delay_s = 0'
+                )
+            if self.tuning is not None and self.tuning.mode != "off":
+                raise ValueError('onset = "predicted" cannot be tuned: tuning learns when a burst is to begin itself')
         return self
 
     @model_validator(mode="after")
@@ -118,11 +131,13 @@ class Channel(Settings):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_an_absent_tuning(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """So that a session without tuning reads, and identifies its replays, as it did before there was any."""
+    def _without_what_is_not_asked_for(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """So that a session without tuning or prediction reads, and identifies its replays, as before there was any."""
         data: dict[str, Any] = handler(self)
         if data.get("tuning") is None:
             data.pop("tuning", None)
+        if data.get("onset") == "detected":
+            data.pop("onset")
         return data
 
 

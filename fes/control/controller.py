@@ -23,6 +23,7 @@ from fes.signals import (
     StrideResult,
     Tick,
 )
+from fes.stimulation.onset import ONSET, OnsetPredictor
 from fes.stimulation.order import NOTED
 from fes.stimulation.plan import BY_HAND_NS, StimulationPlan
 from fes.stimulation.tuning.report import TuningReport
@@ -71,6 +72,11 @@ class Controller:
             for switch in session.foot_switches
             if switch.use == "fallback"
         }
+        self.onsets = {
+            foot: OnsetPredictor()
+            for foot in sensor_of
+            if any(channel.foot == foot and channel.onset == "predicted" for channel in session.channels)
+        }
         self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma)
         self.tuning = Tuners(session)
         self._reports: list[TuningReport] = []
@@ -98,6 +104,13 @@ class Controller:
     def _order(self, foot: str) -> str:
         return f"{foot.replace('_', ' ')} {self._judges[foot].order.describe()}"
 
+    def not_predicted(self) -> list[str]:
+        """Of each foot whose onset is to be predicted and is not, that and why."""
+        return [self._onset(foot) for foot, onset in self.onsets.items() if not onset.in_use]
+
+    def _onset(self, foot: str) -> str:
+        return f"{foot.replace('_', ' ')}: {self.onsets[foot].describe()}"
+
     def walking(self, foot: str) -> bool:
         """Whether this foot is judged to be walking, so that a step may start a burst."""
         fallback = self._fallbacks.get(foot)
@@ -114,6 +127,8 @@ class Controller:
                     self._follow(foot, event, results)
                     outcomes = tuple(results)
                 self._judges[foot].on_time(event.t_sensor_ns)
+                if foot in self.onsets:
+                    self._foresee(foot, event)
         elif isinstance(event, OperatorAct):
             self._on_act(event)
         elif isinstance(event, StimStatus):
@@ -142,12 +157,24 @@ class Controller:
                 if judge.order.in_order is not was_in_order:
                     severity = "warning" if was_in_order else "info"
                     self._notes.append(Note(sample.t_ns, severity, NOTED, self._order(foot)))
+                if foot in self.onsets:
+                    self.onsets[foot].on_phase(outcome, permitted)
                 fallback = self._fallbacks.get(foot)
                 if fallback is not None and not fallback.follows_sensor(outcome):
                     continue
                 # stimulation keeps to the host's clock, whatever the sensor's does
                 change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
                 self._plan.on_phase(change, permitted=permitted)
+
+    def _foresee(self, foot: str, sample: ImuSample) -> None:
+        """Begin this foot's bursts early where its heel is about to rise, and that is known well of who walks."""
+        onset, fallback = self.onsets[foot], self._fallbacks.get(foot)
+        if onset.watching and onset.starts(sample.t_sensor_ns, *self.trackers[foot].seen()):
+            by_sensor = self._judges[foot].walking and not (fallback and fallback.active)
+            onset.used = onset.in_use and by_sensor and self._plan.begin_early(foot, sample.t_ns, self.intensity)
+        for severity, text in onset.said:
+            self._notes.append(Note(sample.t_ns, severity, ONSET, f"{foot.replace('_', ' ')}: {text}"))
+        onset.said.clear()
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:
         """What the tuning reports; its parameters count from each channel's next burst."""

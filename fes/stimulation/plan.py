@@ -9,6 +9,10 @@ A burst comes and goes after the trapezoid of the drop-foot stimulators:
 - it enters a phase outside start … stop, or its phase was lost (``Transition.NONE``): off at once;
 - it enters ``start_phase`` again: off at once, and a new burst.
 
+With ``onset = "predicted"`` a burst may begin before the entry into ``start_phase`` (:meth:`StimulationPlan.begin_early`).
+If that has not come ``FALSE_NS`` later, the burst is off at once. If it comes, the burst goes on as any other, but lasts
+no longer than the longest of this channel's last bursts would have that begin with the entry: it falls sooner, rather.
+
 It begins with one step of the device, at once, and rises from there: the gate grants nothing for the time before.
 
 A burst starts late rather than break a rule that the gate would enforce: not before its channel has been off for
@@ -18,11 +22,12 @@ A burst starts late rather than break a rule that the gate would enforce: not be
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fes.config import PHASE_ORDER, Channel
 from fes.signals import NS_PER_S, OperatorAction, StimRequest
 from fes.stimulation.envelope import BurstParameters, Envelope, round_down, to_ns
+from fes.stimulation.onset import FALSE_NS
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
@@ -30,6 +35,7 @@ LATEST_NS = 500_000_000  # a burst that would have to wait longer, for a rest or
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 LOST = Transition.NONE
 EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
+LASTED = 10  # strides, likewise: a burst that began early lasts no longer than in the longest of them
 
 
 @dataclass(slots=True, eq=False)
@@ -39,7 +45,9 @@ class _ChannelState:
     ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
     ``steady``, the burst last asked for, stays on until ``steady_ns`` once it is. ``upcoming`` are the parameters of
     the next burst, ``taken`` those of the burst awaited or under way. ``before`` is the phase before the stop phase,
-    entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last.
+    entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last. ``started_ns`` is the entry into
+    the start phase, ``lasted_ns`` how long it was from there to the stop phase last; a burst that began early falls at
+    ``latest_ns``.
     """
 
     channel: Channel
@@ -60,28 +68,42 @@ class _ChannelState:
     adopt: bool = False
     before_ns: int | None = None
     approaches_ns: deque[int] = field(default_factory=lambda: deque(maxlen=EXPECTED_FROM))
+    started_ns: int | None = None
+    lasted_ns: deque[int] = field(default_factory=lambda: deque(maxlen=LASTED))
+    latest_ns: int | None = None
 
     def note(self, change: PhaseChange) -> None:
-        """How long the phase before the stop phase takes; a cycle that was lost, or went another way, is forgotten."""
+        """How long the phases up to the stop phase take; a cycle that was lost, or went another way, is forgotten."""
         if change.transition == LOST or change.destination not in self.run:
-            self.before_ns = None
+            self.before_ns = self.started_ns = self.latest_ns = None
             if change.transition == LOST:
                 self.approaches_ns.clear()
+                self.lasted_ns.clear()
         elif change.destination == self.stop:
             if self.before_ns is not None:
                 self.approaches_ns.append(change.t_ns - self.before_ns)
-            self.before_ns = None
-        elif change.destination == self.before:
-            self.before_ns = change.t_ns
-        elif change.destination == self.start:
-            self.before_ns = None
+            if self.started_ns is not None:
+                self.lasted_ns.append(change.t_ns - self.started_ns)
+            self.before_ns = self.started_ns = None
+        else:
+            if change.destination == self.start:
+                self.before_ns, self.started_ns = None, change.t_ns
+            if change.destination == self.before:
+                self.before_ns = change.t_ns
 
     def due_ns(self) -> int | None:
         """When this cycle's burst is to fall though the stop phase has not come; None for not before it."""
         early_ns = to_ns(-self.taken.extension_s)
         if early_ns <= 0 or self.before_ns is None or len(self.approaches_ns) < EXPECTED_FROM:
-            return None
+            return self.latest_ns
         return self.before_ns + max(max(self.approaches_ns) - early_ns, 0)
+
+    def confirmed(self, t_ns: int) -> Envelope | None:
+        """The burst that began early and is still on at the entry into the start phase, as it goes on; None if none."""
+        burst = self.burst
+        if burst is None or self.latest_ns is None or burst.over(t_ns):
+            return None
+        return Envelope.for_channel(self.channel, burst.t_start_ns, burst.intensity, self.taken, self.latest_ns)
 
 
 class StimulationPlan:
@@ -117,8 +139,10 @@ class StimulationPlan:
             elif change.destination == state.start:
                 if state.adopt and state.burst is not None and not state.burst.falls(change.t_ns):
                     state.burst = state.burst.unstopped()
+                elif permitted and (confirmed := state.confirmed(change.t_ns)):
+                    state.burst = confirmed
                 else:
-                    state.burst, state.taken = None, state.upcoming
+                    state.burst, state.latest_ns, state.taken = None, None, state.upcoming
                     state.awaited_ns = change.t_ns + to_ns(state.taken.start_delay_s) if permitted else None
                 state.by_hand_ns, state.adopt = None, False
             elif change.destination == state.stop:
@@ -126,6 +150,26 @@ class StimulationPlan:
                 state.burst = state.burst.stopped(change.t_ns) if state.burst else None
             if state.burst is not None and change.destination == state.before:
                 state.burst = state.burst.due(state.due_ns())
+
+    def begin_early(self, foot: str, t_ns: int, intensity: float) -> bool:
+        """This foot's heel is about to rise: begin now what its predicted channels would begin then.
+
+        Nothing begins that could not begin now (an antagonist, a rest), nor before a stride has shown how long it may
+        last. Returns whether any burst did.
+        """
+        begun = False
+        for state in self._states:
+            busy = state.on or state.burst is not None or state.awaited_ns is not None
+            if busy or state.channel.onset != "predicted" or state.channel.foot != foot or not state.lasted_ns:
+                continue
+            state.taken, state.awaited_ns, state.latest_ns = state.upcoming, t_ns, None
+            state.by_hand_ns, state.adopt = None, False
+            burst, state.awaited_ns = self._burst(state, t_ns, intensity), None
+            if burst is not None and self._is_on(burst, t_ns):
+                state.latest_ns = t_ns + max(state.lasted_ns) + burst.extension_ns
+                most_ns = min(FALSE_NS, burst.max_on_ns)  # until the heel has risen, and off without a ramp
+                state.burst, begun = replace(burst, max_on_ns=most_ns, fall_ns=0, t_due_ns=state.latest_ns), True
+        return begun
 
     def start(self, number: float, t_ns: int, hold_ns: int, *, adopt: bool) -> None:
         """Start a burst of one channel by hand; it falls after ``hold_ns``, and what the foot does may end it sooner.
@@ -135,7 +179,7 @@ class StimulationPlan:
         for state in self._states:
             if state.channel.number == number and state.burst is None:
                 state.awaited_ns, state.by_hand_ns, state.adopt = t_ns, hold_ns, adopt
-                state.taken = state.upcoming
+                state.taken, state.latest_ns = state.upcoming, None
 
     def set_parameters(self, number: int, parameters: BurstParameters) -> None:
         """What one channel's bursts are to have from the next entry into its start phase on; no burst changes."""
