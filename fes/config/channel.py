@@ -79,9 +79,7 @@ class Channel(Settings):
     def _a_predicted_onset_is_a_heel_rise(self) -> Self:
         if self.onset == "predicted":
             if self.start_phase != "pre_swing" or self.start_delay_s > 0.0:
-                raise ValueError(
-                    'onset = "predicted" is for channels that start with start_phase = "pre_swing" and start_delay_s = 0'
-                )
+                raise ValueError('onset = "predicted" needs start_phase = "pre_swing" and start_delay_s = 0')
             if self.tuning is not None and self.tuning.mode != "off":
                 raise ValueError('onset = "predicted" cannot be tuned: tuning learns when a burst is to begin itself')
         return self

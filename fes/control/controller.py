@@ -23,7 +23,7 @@ from fes.signals import (
     StrideResult,
     Tick,
 )
-from fes.stimulation.onset import ONSET, OnsetPredictor
+from fes.stimulation.onset import OnsetPredictor
 from fes.stimulation.order import NOTED
 from fes.stimulation.plan import BY_HAND_NS, StimulationPlan
 from fes.stimulation.tuning.report import TuningReport
@@ -104,12 +104,10 @@ class Controller:
     def _order(self, foot: str) -> str:
         return f"{foot.replace('_', ' ')} {self._judges[foot].order.describe()}"
 
-    def not_predicted(self) -> list[str]:
-        """Of each foot whose onset is to be predicted and is not, that and why."""
-        return [self._onset(foot) for foot, onset in self.onsets.items() if not onset.in_use]
-
-    def _onset(self, foot: str) -> str:
-        return f"{foot.replace('_', ' ')}: {self.onsets[foot].describe()}"
+    def notices(self) -> list[str]:
+        """What a person should know of the feet: those in disorder, those whose onset cannot be predicted as asked."""
+        onsets = [(foot.replace("_", " "), onset) for foot, onset in self.onsets.items() if not onset.in_use]
+        return self.in_disorder() + [f"{name}: {onset.describe()}" for name, onset in onsets]
 
     def walking(self, foot: str) -> bool:
         """Whether this foot is judged to be walking, so that a step may start a burst."""
@@ -172,8 +170,8 @@ class Controller:
         if onset.watching and onset.starts(sample.t_sensor_ns, *self.trackers[foot].seen()):
             by_sensor = self._judges[foot].walking and not (fallback and fallback.active)
             onset.used = onset.in_use and by_sensor and self._plan.begin_early(foot, sample.t_ns, self.intensity)
-        for severity, text in onset.said:
-            self._notes.append(Note(sample.t_ns, severity, ONSET, f"{foot.replace('_', ' ')}: {text}"))
+        for severity, source, text in onset.said:
+            self._notes.append(Note(sample.t_ns, severity, source, f"{foot.replace('_', ' ')}: {text}"))
         onset.said.clear()
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:

@@ -219,6 +219,7 @@ def _channel(
         lately = f" Refused at {(refused.t_ns - origin_ns) / NS_PER_S:.3f} s: {refused.refused}." if refused else ""
         ma = last.current_ma if last and on else 0.0
         text = f"{channel.name}: {how}" + (lately if refused is not None and refused is not last else "")
+        text += _foreseen(runner, channel, origin_ns)
         return ChannelThen(channel.number, channel.name, on, ma, refused.refused if refused else "", text)
 
     if last is not None and last.on and at_ns - last.t_ns <= last.validity_ms * 1_000_000:
@@ -231,6 +232,23 @@ def _channel(
     if last is not None and last.refused:
         return made(False, with_remedy(f"off, the gate refused it: {last.refused}"))
     return made(False, f"off, {_not_asked(runner, channel, entered, origin_ns)}.")
+
+
+def _foreseen(runner: Runner, channel: Channel, origin_ns: int) -> str:
+    """Of a channel whose onset is to be predicted, whether it is, what was expected of this stride and what came."""
+    onset = runner.controller.onsets.get(str(channel.foot))
+    if onset is None or channel.onset != "predicted":
+        return ""
+
+    def at(t_ns: float | None) -> str:
+        return f"at {((t_ns or 0) - origin_ns) / NS_PER_S:.3f} s"
+
+    text = f" Its {onset.describe()}."
+    if onset.expected_ns is not None:
+        text += f" The heel was expected to rise {at(onset.expected_ns)}"
+        text += f"; the burst began early, {at(onset.began_ns)}" if onset.used else ""
+        text += f"; it rose {at(onset.came_ns)}." if onset.came_ns is not None else "."
+    return text
 
 
 def _not_asked(runner: Runner, channel: Channel, entered: dict[str, tuple[PhaseChange, str]], origin_ns: int) -> str:

@@ -19,16 +19,17 @@ SHOWN_NS: Final = 5 * NS_PER_S  # after the newest faulty sample; the log has th
 class Notices:
     """What a person should know though nothing is latched: shown with every status, logged when it begins.
 
-    Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet, feet
-    ``in_disorder``. A line goes when what it tells of is over. ``lasting``: what else holds until the session ends.
+    Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet, and what
+    the controller says ``of_feet``. A line goes when what it tells of is over. ``lasting``: what else holds until the
+    session ends.
     """
 
-    def __init__(self, gate: SafetyGate, electrodes: Electrodes, in_disorder: Callable[[], list[str]]) -> None:
+    def __init__(self, gate: SafetyGate, electrodes: Electrodes, of_feet: Callable[[], list[str]]) -> None:
         self.electrodes = electrodes
         self.streams: Sequence[SensorStream] = ()
         self.lasting: list[str] = []
         self._gate = gate
-        self._in_disorder = in_disorder
+        self._of_feet = of_feet
         self._losses: dict[SensorStream, int] = {}
 
     def now(self, t_ns: int) -> list[str]:
@@ -39,7 +40,7 @@ class Notices:
             if t_ns - flag.t_ns < SHOWN_NS
         ]
         lost = (stream.why_lost for stream in self.streams)
-        return list(filter(None, (*self._in_disorder(), *flags, *lost, self.electrodes.unknown(), *self.lasting)))
+        return list(filter(None, (*self._of_feet(), *flags, *lost, self.electrodes.unknown(), *self.lasting)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

@@ -91,7 +91,7 @@ class LiveSession:
         }
         phase_sensor_of = phase_sensors(calibrations)
         electrodes = Electrodes((channel.number for channel in session.channels), open_lead_detected_from_ma)
-        self.notices = Notices(self.gate, electrodes, self.controller.in_disorder)
+        self.notices = Notices(self.gate, electrodes, self.controller.notices)
         self.notices.lasting += filter(None, [describe_thresholds(session.thresholds)])
         self.sides = SideCheck(calibrations)
         self.monitor = Monitor(

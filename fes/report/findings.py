@@ -14,6 +14,7 @@ from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, number, readable
+from fes.stimulation.onset import ONSET
 from fes.stimulation.order import NOTED
 
 Level = Literal["good", "info", "warning", "alert"]
@@ -76,6 +77,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
             yield from _tuning(channel, summary)
         yield from _wire(summary)
         yield from _disorder(summary)
+        yield from _false_starts(summary)
         yield from _toe_on_the_ground(summary)
         yield from _strides(summary)
         yield from _speed(summary)
@@ -128,6 +130,8 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
         return
     times = count_of(channel.bursts, "time")
     times += f" ({channel.bursts_by_hand} of them by hand)" if channel.bursts_by_hand else ""
+    if channel.foreseen:
+        times += f", {channel.bursts_early} times before its heel rise was detected, for it was foreseen"
     window = f"{readable(channel.start_phase)} … {readable(channel.stop_phase)}"
     if channel.longest_outside_s == 0:
         yield Finding("good", f"{name}: stimulated {times}, never outside {window} of its foot.")
@@ -229,6 +233,14 @@ def _disorder(summary: SessionSummary) -> Iterator[Finding]:
     if told:
         often = f" {count_of(len(told), 'time')}, first" if len(told) > 1 else ""
         text = f"A foot came into disorder{often} at {told[0].time_s:.1f} s: {told[0].text}."
+        yield Finding("warning", text)
+
+
+def _false_starts(summary: SessionSummary) -> Iterator[Finding]:
+    """Bursts that began early and no heel rise came, by the session's own notes."""
+    told = [each for each in summary.notices if each.source == ONSET and each.severity == "warning"]
+    if told:
+        text = f"{count_of(len(told), 'false start')}, first at {told[0].time_s:.1f} s: {told[0].text}."
         yield Finding("warning", text)
 
 

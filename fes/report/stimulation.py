@@ -19,6 +19,7 @@ from fes.config import Phase as PhaseName
 from fes.estimation.sensor_choice import phase_sensors
 from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, OperatorAct, StimCommand, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
+from fes.stimulation.onset import FALSE_NS
 from fes.stimulation.plan import BY_HAND_NS, LATEST_NS
 from fes.stimulation.tuning.guardrails import SPENT
 from fes.walk_record import Note, WalkRecord
@@ -29,6 +30,7 @@ WIDTH_STEP_US = 2.0
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
 HARDLY: Final = 0.01  # mA, µs: less is rounding
+HARDLY_S: Final = 1e-6  # likewise
 STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
 STILL: Final = "still going back"
 SKIPPED: Final = " skipped: "  # the stride taught nothing
@@ -110,6 +112,7 @@ class ChannelInfo:
     stop_phase: str
     phases: tuple[Phase, ...]
     fall_s: float = 0.0
+    foreseen: bool = False  # a burst may begin before the first of these phases
 
 
 @dataclass(frozen=True)
@@ -177,8 +180,9 @@ def channel_infos(
     for c in settings.channels if settings else ():
         phases, sensor = phases_between(c.start_phase, c.stop_phase), sensor_of.get(c.foot, c.foot)
         known[c.number] = ChannelInfo(
-            c.number, c.name, c.foot, sensor, c.muscle, c.start_phase, c.stop_phase, phases, c.fall_s
-        )
+            c.number, c.name, c.foot, sensor, c.muscle, c.start_phase, c.stop_phase, phases, c.fall_s,
+            c.onset == "predicted",
+        )  # fmt: skip
     for number in {command.channel for command in commands} - set(known):
         known[number] = ChannelInfo(number, f"channel {number}", "", "", "", "", "", ())
     return tuple(known[number] for number in sorted(known))
@@ -213,7 +217,8 @@ class Burst:
     ``charge_uc`` is the charge of one phase summed over all pulses, counted by the device where ``counted``
     and otherwise worked out from the commands (current · width · frequency · time). ``outside_s`` is the time
     in a phase in which the channel must be off, NaN when the channel's foot is not known. One that a person asked for
-    is ``by_hand``, whatever its foot does; it is outside only when it outlasts what was asked for.
+    is ``by_hand``, whatever its foot does; it is outside only when it outlasts what was asked for. Likewise one that
+    began ``early``, as was foreseen, where that lasted longer than a false start may.
     """
 
     channel: int
@@ -225,6 +230,7 @@ class Burst:
     counted: bool
     outside_s: float
     by_hand: bool = False
+    early: bool = False
 
     @property
     def duration_s(self) -> float:
@@ -278,14 +284,19 @@ def find_bursts(
             by_hand[at] = True
             asked_ns = BY_HAND_NS[act.action] + round(info.fall_s * NS_PER_S) + DEVICE_TAIL_NS
             judged_ns[at] = min(start_ns[at] + asked_ns, end_ns[at])
-    outside_s = np.full(first.size, np.nan)
+    outside_s, early = np.full(first.size, np.nan), np.zeros(first.size, dtype=np.bool_)
     if timeline is not None and info.phases:
+        if info.foreseen:
+            may_ns = np.where(by_hand, judged_ns, np.minimum(start_ns + FALSE_NS, end_ns))
+            spent_s = timeline.time_in(info.phases, start_ns, may_ns)
+            early = ~by_hand & ((may_ns - start_ns) / NS_PER_S - spent_s > HARDLY_S)
+            judged_ns = np.where(early, may_ns, judged_ns)
         outside_s = (end_ns - judged_ns) / NS_PER_S - timeline.time_in(info.phases, judged_ns, end_ns)
         outside_s = np.maximum(outside_s, 0.0).round(9)
-    columns = (values.tolist() for values in (start_ns, end_ns, peak_ma, pulses, charge_uc, outside_s, by_hand))
+    columns = (values.tolist() for values in (start_ns, end_ns, peak_ma, pulses, charge_uc, outside_s, by_hand, early))
     return tuple(
-        Burst(info.number, start, end, peak, count, charge, counted, outside, asked)
-        for start, end, peak, count, charge, outside, asked in zip(*columns, strict=True)
+        Burst(info.number, start, end, peak, count, charge, counted, outside, asked, soon)
+        for start, end, peak, count, charge, outside, asked, soon in zip(*columns, strict=True)
     )
 
 

@@ -84,6 +84,8 @@ class ChannelSummary:
     longest_outside_s: float
     bursts_outside: int
     bursts_by_hand: int
+    foreseen: bool
+    bursts_early: int
     on_without_command: int
     onset_after_pre_swing_ms: Spread
     burst_duration_s: Spread
@@ -181,6 +183,8 @@ def channel_summary(
         longest_outside_s=max(outside, default=0.0) if known else NAN,
         bursts_outside=sum(value > 0 for value in outside),
         bursts_by_hand=sum(burst.by_hand for burst in bursts),
+        foreseen=info.foreseen,
+        bursts_early=sum(burst.early for burst in bursts),
         on_without_command=stray,
         onset_after_pre_swing_ms=spread(item.onset_after_pre_swing_ms for item in own),
         burst_duration_s=spread(burst.duration_s for burst in bursts),

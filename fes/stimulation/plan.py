@@ -9,9 +9,9 @@ A burst comes and goes after the trapezoid of the drop-foot stimulators:
 - it enters a phase outside start … stop, or its phase was lost (``Transition.NONE``): off at once;
 - it enters ``start_phase`` again: off at once, and a new burst.
 
-With ``onset = "predicted"`` a burst may begin before the entry into ``start_phase`` (:meth:`StimulationPlan.begin_early`).
-If that has not come ``FALSE_NS`` later, the burst is off at once. If it comes, the burst goes on as any other, but lasts
-no longer than the longest of this channel's last bursts would have that begin with the entry: it falls sooner, rather.
+With ``onset = "predicted"`` a burst may begin before the entry into ``start_phase``, when the heel is about to rise
+(:meth:`StimulationPlan.begin_early`). If that has not come ``FALSE_NS`` later, the burst is off at once. If it comes,
+the burst goes on as any other, but falls sooner rather than last longer than any of the last ones begun at the entry.
 
 It begins with one step of the device, at once, and rises from there: the gate grants nothing for the time before.
 

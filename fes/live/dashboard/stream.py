@@ -12,6 +12,7 @@ from fes.live.dashboard.frames import NAMES, STATUS, detail
 from fes.live.inputs import Execute
 from fes.session_log import Note
 from fes.signals import Event, StimCommand, StimStatus, StrideResult
+from fes.stimulation.onset import EACH_ONSET
 from statemachine.phases import PhaseChange
 
 LEVELS_KEPT: Final = 1024  # while nobody reads: two seconds of eight channels
@@ -59,8 +60,8 @@ class DashboardStream:
         self._happened["strides"].append(result)
 
     def note(self, note: Note) -> None:
-        """What a person should know; not each stride's measures, of which the log has every value."""
-        if note.source == MEASURES_NOTED:
+        """What a person should know; not each stride's measures and onset, of which the log has every value."""
+        if note.source in (MEASURES_NOTED, EACH_ONSET):
             return
         self._happened["notes"].append((note.t_ns, note.severity, note.text))
 
