@@ -11,7 +11,8 @@ A burst comes and goes after the trapezoid of the drop-foot stimulators:
 
 With ``onset = "predicted"`` a burst may begin before the entry into ``start_phase``, when the heel is about to rise
 (:meth:`StimulationPlan.begin_early`). If that has not come ``FALSE_NS`` later, the burst is off at once. If it comes,
-the burst goes on as any other, but falls sooner rather than last longer than any of the last ones begun at the entry.
+the burst goes on, but lasts no longer for it: of ``extension_s`` as much is left out as it began early. Where that is
+more than all of it, the burst lasts no longer than the longest of the last ones, had they begun at the entry.
 
 It begins with one step of the device, at once, and rises from there: the gate grants nothing for the time before.
 
@@ -35,7 +36,7 @@ LATEST_NS = 500_000_000  # a burst that would have to wait longer, for a rest or
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 LOST = Transition.NONE
 EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
-LASTED = 10  # strides, likewise: a burst that began early lasts no longer than in the longest of them
+LASTED = 10  # strides; the longest counts, for to end before contact may let the toe catch
 
 
 @dataclass(slots=True, eq=False)
@@ -46,8 +47,8 @@ class _ChannelState:
     ``steady``, the burst last asked for, stays on until ``steady_ns`` once it is. ``upcoming`` are the parameters of
     the next burst, ``taken`` those of the burst awaited or under way. ``before`` is the phase before the stop phase,
     entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last. ``started_ns`` is the entry into
-    the start phase, ``lasted_ns`` how long it was from there to the stop phase last; a burst that began early falls at
-    ``latest_ns``.
+    the start phase, ``lasted_ns`` how long it was from there to the stop phase last; a burst that began early has a
+    ``latest_ns``, when it is to fall.
     """
 
     channel: Channel
@@ -103,7 +104,11 @@ class _ChannelState:
         burst = self.burst
         if burst is None or self.latest_ns is None or burst.over(t_ns):
             return None
-        return Envelope.for_channel(self.channel, burst.t_start_ns, burst.intensity, self.taken, self.latest_ns)
+        left_ns = burst.extension_ns - (t_ns - burst.t_start_ns)
+        if left_ns >= 0:
+            self.latest_ns = None
+        whole = Envelope.for_channel(self.channel, burst.t_start_ns, burst.intensity, self.taken, self.latest_ns)
+        return replace(whole, extension_ns=max(left_ns, 0))
 
 
 class StimulationPlan:

@@ -1,0 +1,339 @@
+"""Bursts that begin when the heel is expected to rise, against those that begin when it is seen to: how early, how well.
+
+    python benchmarks/predicted_onset.py [--only SET …] [--data FOLDER] [--json FILE] [--write docs/phases.md]
+
+Every foot goes twice through controller and gate, as in a session that is armed again at once after a fault: with
+``onset = "detected"`` and ``"predicted"``. Of each set:
+
+- *used*: of the strides in which a burst began, those in which it began before T1, as foreseen;
+- *before T1*: of those, by how much, ms, median [5–95 %]; *off*: how much later than came the heel was expected;
+- *false*: of 100 bursts begun early, those after which T1 did not come for 150 ms; *standing*: how many of them began
+  while ``fes/analysis/swings.py`` sees no swing within 3 s after;
+- *late*: of all strides, how much later than the truth the burst began, detected and predicted: truth of the bundled
+  trials and gaitmap's markers (the heel is 5 mm up), labels of footswitches;
+- *longer*: by how much a burst that began early lasted longer than the same stride's detected one, ms, median [5–95 %];
+  *cut*: of 100 of them, those whose current had fallen by T3, so as to last no longer than the last ten;
+- *lost*: bursts of the detected session that have no counterpart in the predicted one.
+
+``LEAD_NS`` is chosen by data: the longest with which no set has more than one false start in 100. The last table has
+that choice made for each person by all others, and the person's own false starts with it; beside it every lead.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from command_line import console_of, parser_of, save, verdict
+from coarse_check import LIMITS
+from every_walker import DRIFTING, LYING, calibrate, feet_of
+from real_sets import PathWalk, marker_strides
+from rich.table import Table
+from stroke_treadmill import data_folder
+
+from fes.analysis.swings import find_swings
+from fes.config import Session
+from fes.control.controller import Controller
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.sensor_choice import Calibration, tracker_of
+from fes.gate.gate import gate_of
+from fes.recording import Track, read_recording
+from fes.recording.tracks import newer_samples
+from fes.signals import NS_PER_S, ImuSample, OperatorAct, OperatorAction, StrideResult
+from fes.simulation.truth import load_truth
+from fes.stimulation import onset
+from fes.stimulation.walking import WalkingJudge
+from statemachine.phases import PhaseChange, Transition
+
+TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
+BUNDLED = (
+    "negard_patient1", "negard_patient2", "both_feet_100hz", "both_feet_200hz", "misaligned", "soft_contact", "not_walking"
+)  # fmt: skip
+SETS = ("gaitmap_walk", "footswitch_treadmill", "stroke_treadmill", "stroke_walks", "ruler_walks")
+LEADS_MS = (20, 30, 40, 50, 60, 80)
+MOST_FALSE = 0.01
+NEAR_NS, STANDS_NS = 400_000_000, 3 * NS_PER_S
+MS = 1e-6
+BEGIN, END = "<!-- begin: written by `python benchmarks/predicted_onset.py --write docs/phases.md` -->", "<!-- end -->"
+
+
+@dataclass
+class Walked:
+    """One foot's track with its person and, where there is one, the truth of its heel rises (ns)."""
+
+    group: str
+    person: str
+    track: Track
+    rises_ns: list[int] = field(default_factory=list)
+
+
+@dataclass
+class Early:
+    """One burst begun early; ``came_ns`` is None for a false start."""
+
+    began_ns: int
+    expected_ns: float
+    came_ns: int | None
+
+
+@dataclass
+class Figures:
+    """Of one set, in ms; lists are per burst."""
+
+    feet: int = 0
+    feet_used: int = 0
+    bursts: int = 0
+    lost: int = 0
+    false: int = 0
+    standing: int = 0
+    cut: int = 0
+    before: list[float] = field(default_factory=list)
+    off: list[float] = field(default_factory=list)
+    detected_late: list[float] = field(default_factory=list)
+    predicted_late: list[float] = field(default_factory=list)
+    longer: list[float] = field(default_factory=list)
+
+
+def walks(data: Path, wanted: Iterable[str]) -> Iterator[Walked]:
+    """The bundled trials, then the sets."""
+    for name in BUNDLED:
+        recording, truth = read_recording(TRIALS / f"{name}.parquet"), load_truth(TRIALS / f"{name}.parquet")
+        for foot, track in recording.tracks.items():
+            rises = [round(1e9 * s.t_pre_swing_s) for s in truth.strides_of(foot) if s.walking]
+            yield Walked("bundled trials", name, track, rises)
+    for each in feet_of(data, wanted):
+        rises = []
+        if isinstance(each.walk, PathWalk) and each.ic_s is not None:
+            strides = marker_strides(each.walk, np.sort(each.ic_s), np.sort(each.fo_s))
+            rises = [round(1e9 * s["t_pre_swing_s"]) for s in strides if "t_pre_swing_s" in s]
+        if each.labels is not None and each.person not in LYING and each.run not in DRIFTING:
+            starts = find_swings(each.track.t_ns, each.track.acc_mps2, each.track.gyr_radps)
+            whole = starts.sure.tolist()
+            for begin, end in zip(whole, whole[1:], strict=False):
+                label = each.labels.times(begin, end).get(Transition.T1)
+                rises += [] if label is None else [label]
+        yield Walked(each.data_set, each.person, each.track, rises)
+
+
+# --- through controller and gate --------------------------------------------------------------------------------------
+
+
+@dataclass
+class Bursts:
+    """What a session made of a walk: bursts let out (from, to), phases, and what was begun early."""
+
+    spans: list[tuple[int, int]] = field(default_factory=list)
+    contacts: list[tuple[int, float]] = field(default_factory=list)  # and the current then (mA)
+    early: list[Early] = field(default_factory=list)
+
+
+def session(foot: str, how: str) -> Session:
+    """One channel on tibialis anterior."""
+    channel = {
+        "name": "x", "number": 0, "foot": foot, "electrode_area_cm2": 25.0, "current_ma": 20.0, "onset": how,
+        "pulse_width_us": 300.0, "frequency_hz": 40.0, "limits": LIMITS | {"max_charge_per_minute_mc": 100.0},
+    }  # fmt: skip
+    return Session.model_validate({"name": "onset", "channels": [channel]})
+
+
+def stimulated(track: Track, calibration: Calibration, how: str) -> Bursts:
+    """One walk through controller and gate."""
+    settings = session(track.sensor, how)
+    controller = Controller(settings, {track.sensor: calibration})
+    gate = gate_of(settings, {track.sensor: calibration.up})
+    found, began_ns, current_ma, foreseen = Bursts(), None, 0.0, controller.onsets.get(track.sensor)
+    t_ns, acc, gyr = newer_samples(track)
+    for at_ns, force, rate in zip(t_ns.tolist(), acc.tolist(), gyr.tolist(), strict=True):
+        events: list[ImuSample | OperatorAct] = [ImuSample(at_ns, track.sensor, at_ns, tuple(force), tuple(rate))]
+        if not gate.armed:
+            events.append(OperatorAct(at_ns, OperatorAction.ARM))
+            events.append(OperatorAct(at_ns, OperatorAction.SET_INTENSITY, 1.0))
+        for event in events:
+            gate.observe(event)
+            used = foreseen is not None and foreseen.used
+            decision = controller.step(event)
+            for outcome in decision.outcomes:
+                if isinstance(outcome, PhaseChange) and outcome.transition is Transition.T3:
+                    found.contacts.append((at_ns, current_ma))
+            if foreseen is not None and foreseen.used and not used:
+                found.early.append(Early(at_ns, foreseen.expected_ns or 0.0, None))
+            if foreseen is not None and foreseen.used and foreseen.came_ns is not None and found.early:
+                last = found.early[-1]
+                if last.came_ns is None and foreseen.came_ns - last.began_ns <= onset.FALSE_NS:
+                    last.came_ns = foreseen.came_ns
+            for request in decision.requests:
+                command = gate.judge(at_ns, request)
+                current_ma = command.current_ma
+                if command.on and began_ns is None:
+                    began_ns = at_ns
+                elif not command.on and began_ns is not None:
+                    found.spans.append((began_ns, at_ns))
+                    began_ns = None
+    return found
+
+
+def judge(walk: Walked, calibration: Calibration, figures: Figures) -> None:
+    """Add one foot's figures to its set's."""
+    detected, predicted = (stimulated(walk.track, calibration, how) for how in ("detected", "predicted"))
+    true = [early for early in predicted.early if early.came_ns is not None]
+    swings = find_swings(walk.track.t_ns, walk.track.acc_mps2, walk.track.gyr_radps)
+    figures.feet += 1
+    figures.feet_used += bool(predicted.early)
+    figures.bursts += len(detected.spans)
+    figures.false += len(predicted.early) - len(true)
+    figures.standing += sum(
+        not np.any((swings.sure > early.began_ns) & (swings.sure < early.began_ns + STANDS_NS))
+        for early in predicted.early
+    )
+    figures.before += [MS * (early.came_ns - early.began_ns) for early in true if early.came_ns is not None]
+    figures.off += [MS * (early.expected_ns - early.came_ns) for early in true if early.came_ns is not None]
+    at_contact = dict(detected.contacts)
+    early_at = {early.began_ns for early in true}
+    for begin, end in detected.spans:
+        same = [span for span in predicted.spans if span[0] < end and begin < span[1]]
+        figures.lost += not same
+        if len(same) == 1 and same[0][0] in early_at:
+            figures.longer.append(MS * ((same[0][1] - same[0][0]) - (end - begin)))
+            there = next(((t, ma) for t, ma in predicted.contacts if t > begin), None)
+            figures.cut += there is not None and there[1] < at_contact.get(there[0], 0.0) - 0.5
+    for late, spans in ((figures.detected_late, detected.spans), (figures.predicted_late, predicted.spans)):
+        starts = np.array([span[0] for span in spans])
+        for rise in walk.rises_ns:
+            if len(starts) and abs((starts - rise)[np.argmin(np.abs(starts - rise))]) < NEAR_NS:
+                late.append(MS * float((starts - rise)[np.argmin(np.abs(starts - rise))]))
+
+
+# --- the lead, with the person left out -------------------------------------------------------------------------------
+
+
+def starts(track: Track, calibration: Calibration) -> dict[int, tuple[int, int]]:
+    """By lead (ms), how many bursts would begin early and how many of them would be false."""
+    tracker = tracker_of(Session(name="onset"), calibration)
+    walking = WalkingJudge(session(track.sensor, "detected").stimulation)
+    foreseen, own_ns = {lead: onset.OnsetPredictor() for lead in LEADS_MS}, onset.LEAD_NS
+    count: dict[int, list[int]] = {lead: [0, 0] for lead in LEADS_MS}
+    t_ns, acc, gyr = newer_samples(track)
+    for at_ns, force, rate in zip(t_ns.tolist(), acc.tolist(), gyr.tolist(), strict=True):
+        for outcome in tracker.step(at_ns, tuple(force), tuple(rate)):
+            if isinstance(outcome, StrideResult):
+                walking.on_stride(outcome)
+                continue
+            permitted = walking.on_phase(outcome)
+            for each in foreseen.values():
+                each.on_phase(outcome, permitted)
+        walking.on_time(at_ns)
+        seen = tracker.seen() if any(each.watching for each in foreseen.values()) else None
+        for lead, each in foreseen.items():
+            if seen is not None:
+                onset.LEAD_NS = lead * onset.MS  # type: ignore[misc]
+                if each.starts(at_ns, *seen):
+                    each.used = each.in_use and walking.walking
+                    count[lead][0] += each.used
+            count[lead][1] += sum(severity == "warning" for severity, _, _ in each.said)
+            each.said.clear()
+    onset.LEAD_NS = own_ns  # type: ignore[misc]
+    return {lead: (counted[0], counted[1]) for lead, counted in count.items()}
+
+
+def chosen(counts: dict[tuple[str, str], dict[int, tuple[int, int]]], without: str) -> int:
+    """The longest lead with which no set of the others has more than one false start in 100."""
+    best = LEADS_MS[0]
+    for lead in LEADS_MS:
+        by_set: dict[str, list[int]] = defaultdict(lambda: [0, 0])
+        for (group, person), by_lead in counts.items():
+            if person != without:
+                by_set[group][0] += by_lead[lead][0]
+                by_set[group][1] += by_lead[lead][1]
+        if all(false <= MOST_FALSE * max(early, 100) for early, false in by_set.values()):
+            best = lead
+        else:
+            break
+    return best
+
+
+def spread(values: list[float]) -> str:
+    """Median [5–95 %]."""
+    if not values:
+        return "–"
+    low, middle, high = np.percentile(values, (5, 50, 95))
+    return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
+
+
+def rows(groups: dict[str, Figures]) -> list[list[str]]:
+    """The first table's."""
+    found = []
+    for name, f in groups.items():
+        early = len(f.before) + f.false
+        share = f"{100.0 * early / f.bursts:.0f} % ({f.feet_used} of {f.feet} feet)" if f.bursts else "–"
+        false = f"{100.0 * f.false / early:.2f} ({f.false})" if early else "–"
+        cells = [name, str(f.bursts), share, spread(f.before), spread(f.off), false, str(f.standing)]
+        cells += [spread(f.detected_late), spread(f.predicted_late), spread(f.longer)]
+        found.append([*cells, f"{100.0 * f.cut / len(f.longer):.1f}" if f.longer else "–", str(f.lost)])
+    return found
+
+
+TITLES = (
+    "set", "bursts", "used", "before T1", "off", "false per 100", "standing", "late, detected", "late, predicted",
+    "longer", "cut per 100", "lost",
+)  # fmt: skip
+
+
+def write(path: Path, found: list[list[str]], by_lead: str) -> None:
+    """Into a page, between its marks."""
+    lines = ["| " + " | ".join(TITLES) + " |", "|" + "---|" * len(TITLES)]
+    lines += ["| " + " | ".join(cells).replace("-", "−") + " |" for cells in found]
+    text = path.read_text(encoding="utf-8")
+    before, rest = text.split(BEGIN)
+    after = rest.split(END, 1)[1]
+    path.write_text(before + "\n\n".join([BEGIN, "\n".join(lines), by_lead, END]) + after, encoding="utf-8")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables; 1 if there are too many false starts, or one in standing."""
+    parser = parser_of(__doc__, data_folder())
+    parser.add_argument("--only", nargs="*", default=list(SETS), choices=SETS)
+    parser.add_argument("--write", type=Path)
+    options = parser.parse_args(arguments)
+    groups: dict[str, Figures] = {}
+    counts: dict[tuple[str, str], dict[int, tuple[int, int]]] = {}
+    for walk in walks(options.data, options.only):
+        try:
+            calibration = calibrate(walk.track)
+        except CalibrationError:
+            continue
+        judge(walk, calibration, groups.setdefault(walk.group, Figures()))
+        own = counts.setdefault((walk.group, walk.person), dict.fromkeys(LEADS_MS, (0, 0)))
+        for lead, (early, false) in starts(walk.track, calibration).items():
+            own[lead] = own[lead][0] + early, own[lead][1] + false
+        print(walk.group, walk.person, walk.track.sensor, own, file=sys.stderr, flush=True)
+    table = Table(*TITLES, title="ms, median [5–95 %]")
+    found = rows(groups)
+    for cells in found:
+        table.add_row(*cells)
+    console = console_of(220)
+    console.print(table)
+    leads = {key: chosen(counts, key[1]) for key in counts}
+    total = [sum(by_lead[leads[key]][which] for key, by_lead in counts.items()) for which in (0, 1)]
+    every = [
+        f"{lead} ms: {sum(c[lead][1] for c in counts.values())} of {sum(c[lead][0] for c in counts.values())}"
+        for lead in LEADS_MS
+    ]
+    picks = ", ".join(f"{lead} ms for {list(leads.values()).count(lead)}" for lead in sorted(set(leads.values())))
+    by_lead = (
+        f"False starts of all sets by lead: {'; '.join(every)}. Chosen for each person by all others: {picks}; with that "
+        f"{total[1]} of {total[0]} starts were false."
+    )
+    console.print(by_lead)
+    save({"sets": {name: asdict(figures) for name, figures in groups.items()}, "leads": by_lead}, options.json)
+    if options.write:
+        write(options.write, found, by_lead)
+    held = all(f.false <= MOST_FALSE * max(len(f.before), 100) and not f.standing for f in groups.values())
+    return verdict(console, held)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
