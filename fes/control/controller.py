@@ -167,7 +167,7 @@ class Controller:
     def _foresee(self, foot: str, sample: ImuSample) -> None:
         """Begin this foot's bursts early where its heel is about to rise, and that is known well of who walks."""
         onset, fallback = self.onsets[foot], self._fallbacks.get(foot)
-        if onset.watching and onset.starts(sample.t_sensor_ns, *self.trackers[foot].seen()):
+        if onset.watching and onset.starts(sample.t_sensor_ns, *towards_heel_rise(self.trackers[foot])):
             by_sensor = self._judges[foot].walking and not (fallback and fallback.active)
             onset.used = onset.in_use and by_sensor and self._plan.begin_early(foot, sample.t_ns, self.intensity)
         for severity, source, text in onset.said:
@@ -212,3 +212,10 @@ class Controller:
         requests = self._plan.requests(t_ns, self.intensity)
         self._on = any(map(_IS_ON, requests))
         return requests
+
+
+def towards_heel_rise(tracker: Tracker) -> tuple[float, float]:
+    """How far, and how fast, the foot has turned toe-down at the newest sample: shares of T1's limits."""
+    seen, limits = tracker.seen()
+    rate_radps = limits.heel_rise_share * max(limits.push_off_radps, 0.5 * limits.fall_radps)
+    return seen.turned_rad / limits.heel_rise_rad, seen.toe_down_radps / rate_radps

@@ -15,7 +15,6 @@ from collections import deque
 from statistics import median
 from typing import Final
 
-from statemachine.guards import Features, Thresholds
 from statemachine.phases import PhaseChange, Transition
 
 MS: Final = 1_000_000  # ns
@@ -88,15 +87,21 @@ class OnsetPredictor:
             self._usual_ns = [median(ahead_ns) for ahead_ns in self._ahead_ns]
         self._judge()
 
-    def starts(self, t_ns: int, seen: Features, limits: Thresholds) -> bool:
-        """Whether a burst is to begin at this sample of stance: once a stance, whether it may be used or not."""
+    def starts(self, t_ns: int, turned: float, turns: float) -> bool:
+        """Whether a burst is to begin at this sample of stance: once a stance, whether it may be used or not.
+
+        Args:
+            t_ns: the sample's time.
+            turned: how far the foot has turned toe-down since it stood still, as a share of T1's limit.
+            turns: how fast it turns so, likewise.
+        """
         if not self.watching or t_ns <= self._newest_ns:
             return False
         if t_ns - self._newest_ns > GAP_NS:
             self.watching = False
             return False
         self._newest_ns = t_ns
-        self._pass(t_ns, seen, limits)
+        self._pass(t_ns, turned, turns)
         if self.began_ns is not None:
             if not self._false and t_ns - self.began_ns > FALSE_NS:
                 self._false_start()
@@ -110,10 +115,8 @@ class OnsetPredictor:
         self.began_ns = t_ns
         return True
 
-    def _pass(self, t_ns: int, seen: Features, limits: Thresholds) -> None:
+    def _pass(self, t_ns: int, turned: float, turns: float) -> None:
         """Note what of T1's limits the foot has passed; what it falls below again it has not."""
-        rate_radps = limits.heel_rise_share * max(limits.push_off_radps, 0.5 * limits.fall_radps)
-        turned, turns = seen.turned_rad / limits.heel_rise_rad, seen.toe_down_radps / rate_radps
         for which, value in enumerate([turned] * len(SHARES) + [turns] * len(SHARES)):
             if value < SHARES[which % len(SHARES)]:
                 self._passed_ns[1 + which] = None

@@ -18,13 +18,9 @@ from fes.stimulation.onset import (
     PROVEN_FROM,
     OnsetPredictor,
 )
-from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange, Transition
 
 STEP_MS, LOADING_MS, SWING_MS, STANCE_MS, RISING_MS = 5, 100, 500, 700, 100
-LIMITS = Thresholds()
-RATE_RADPS = LIMITS.heel_rise_share * LIMITS.push_off_radps
-FLAT = Features(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False)
 DESTINATION = {
     Transition.T1: Phase.PRE_SWING, Transition.T2: Phase.SWING, Transition.T3: Phase.LOADING_RESPONSE,
     Transition.T4: Phase.STANCE, Transition.T5: Phase.STANCE, Transition.NONE: Phase.STANCE,
@@ -48,8 +44,7 @@ class Foot:
         """Samples of stance; the heel is to rise so long after their beginning, None: not at all."""
         for at_ms in range(0, for_ms, STEP_MS):
             share = 0.0 if rises_in_ms is None else max(0.0, 1.0 - (rises_in_ms - at_ms) / RISING_MS)
-            seen = FLAT._replace(turned_rad=share * LIMITS.heel_rise_rad, toe_down_radps=share * RATE_RADPS)
-            if self.onset.starts(self.t_ms * MS, seen, LIMITS):
+            if self.onset.starts(self.t_ms * MS, share, share):
                 self.began_ms.append(self.t_ms)
                 self.onset.used = self.obeyed and self.onset.in_use
             self._listen()
@@ -196,12 +191,12 @@ def test_nothing_starts_in_a_stance_with_a_gap() -> None:
 
 
 def test_samples_from_the_past_change_nothing() -> None:
-    foot, turns = walked(STEADY), FLAT._replace(turned_rad=1.0, toe_down_radps=9.0)
+    foot = walked(STEADY)
     foot.change(Transition.T3)
     foot.t_ms += LOADING_MS
     foot.change(Transition.T4)
-    assert not foot.onset.starts(foot.t_ms * MS, turns, LIMITS)
-    assert not foot.onset.starts((foot.t_ms - 50) * MS, turns, LIMITS)
+    assert not foot.onset.starts(foot.t_ms * MS, 9.0, 9.0)
+    assert not foot.onset.starts((foot.t_ms - 50) * MS, 9.0, 9.0)
     assert foot.onset.expected_ns is None
 
 
