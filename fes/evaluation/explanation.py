@@ -240,14 +240,14 @@ def _foreseen(runner: Runner, channel: Channel, origin_ns: int) -> str:
     if onset is None or channel.onset != "predicted":
         return ""
 
-    def told(t_ns: float | None) -> str:
+    def seconds(t_ns: float | None) -> str:
         return f"at {((t_ns or 0) - origin_ns) / NS_PER_S:.3f} s"
 
     text = f" Its {onset.describe()}."
     if onset.expected_ns is not None:
-        text += f" The heel was expected to rise {told(onset.expected_ns)}"
-        text += f"; the burst began early, {told(onset.began_ns)}" if onset.used else ""
-        text += f"; it rose {told(onset.came_ns)}." if onset.came_ns is not None else "."
+        text += f" The heel was expected to rise {seconds(onset.expected_ns)}"
+        text += f"; the burst began early, {seconds(onset.began_ns)}" if onset.used else ""
+        text += f"; it rose {seconds(onset.came_ns)}." if onset.came_ns is not None else "."
     return text
 
 
