@@ -218,4 +218,4 @@ def towards_heel_rise(tracker: Tracker) -> tuple[float, float]:
     """How far, and how fast, the foot has turned toe-down at the newest sample: shares of T1's limits."""
     seen, limits = tracker.seen()
     rate_radps = limits.heel_rise_share * max(limits.push_off_radps, 0.5 * limits.fall_radps)
-    return seen.turned_rad / limits.heel_rise_rad, seen.toe_down_radps / rate_radps
+    return seen.turned_rad / limits.turn_rad, seen.toe_down_radps / rate_radps

@@ -166,7 +166,7 @@ class Script:
         number, at_ms = divmod(self._now_ns // MS, 1200)
         share = max(0.0, min(1.0, (at_ms - 600) / 100)) if number < self._last or self._turns_after else 0.0
         rate = limits.heel_rise_share * max(limits.push_off_radps, 0.5 * limits.fall_radps)
-        return features._replace(turned_rad=share * limits.heel_rise_rad, toe_down_radps=share * rate), limits
+        return features._replace(turned_rad=share * limits.turn_rad, toe_down_radps=share * rate), limits
 
 
 @pytest.fixture(scope="module")
