@@ -104,13 +104,10 @@ def test_a_burst_up_to_foot_off_does_harm_that_is_counted(
     assert both.harm.drags <= alone.harm.drags
 
 
-def test_a_burst_through_swing_harms_at_once_and_most_strides_until_the_gate_ends_it(
-    calibration: FootCalibration,
-) -> None:
-    """A stumble may show turned for a moment; the gate, which cannot tell whose fault it is, waits for a longer one."""
+def test_a_burst_through_swing_harms_at_once_and_most_strides(calibration: FootCalibration) -> None:
+    """Nothing is wrong with the sensor, and the phases come in order: what tells such a setting is the harm counted."""
     through = walked(calibration, lasting(0.3), TIBIALIS)
     first_ns, *_, last_ns = times_ns(through, CALF)
-    assert "65°" in through.latched  # a foot that is dragged along moves as no foot does
     during = [one for one in through.strides if first_ns < one.t_contact_ns < last_ns + 10**9]
     harmed = [one.dragged or one.stumbled for one in during]
     assert harmed[0]
