@@ -353,6 +353,8 @@ def _joined(
         of = np.searchsorted(spans[:, 0], mids) - 1
         order = np.lexsort((falls, of))
         order = order[(of[order] >= 0) & (mids[order] <= spans[of[order], 1])]
+        if len(order) < MIN_STRIDES:  # the foot hardly turns across its way
+            return _Walk(left, math.pi, 0.0, push_offs, mids, spans)
         order = order[np.append(np.diff(of[order]) > 0, True)]
         mids, kept = mids[order], of[order]
         push_offs = peaks_before(toe_down, mids, round(FALL_S * rate_hz) | 1)
