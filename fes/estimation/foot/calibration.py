@@ -59,8 +59,8 @@ RESTLESS_PERCENT = 85.0
 MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or this: a stride that ends so is cut
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # in the score, of half the unrest at the quiet instants or twice the time that strides take up
-TRAVEL_SD_RAD = 0.16  # how far a foot points from where it goes: a toe-out of 7 ± 6°
-FALLS_SD_RAD = 0.26  # of the falls: the line through the toes' joints is oblique by 10–30°, and the leg turns outward
+TRAVEL_SD_RAD, FALLS_SD_RAD = 0.21, 0.087
+MOST_TOE_OUT_RAD = 0.21
 MOST_AXIS_SD_RAD = 0.42  # 24°; of real feet 15° at most; so far off, a tenth of the pitch is missing
 BACKWARD_RAD = 0.35  # tilted toe-up by so much more than toe-down: backward; of 138 real feet that go forward 0.19
 SIDEWAYS = 1.6  # times as much tilt about the way as across it; of these feet 1.2 (1.5 in 20 s), carried sideways 1.8
@@ -361,9 +361,10 @@ def _joined(
         vectors = _level(smooth[push_offs] - smooth[mids], up)
         mean = _typical(vectors, up)
         falls_var = FALLS_SD_RAD**2 + median(_angles(vectors, mean)) ** 2
-        axis = _unit(mean / falls_var + left / travel_var)
-        odds = float(_angles(mean[None], left)[0]) ** 2 / (falls_var + travel_var)
-        var = max(odds, 1.0) / (1.0 / falls_var + 1.0 / travel_var)
+        apart = float(np.arctan2(np.cross(left, mean) @ up, left @ mean))
+        toe_out = min(max(apart * travel_var / (falls_var + travel_var), -MOST_TOE_OUT_RAD), MOST_TOE_OUT_RAD)
+        axis = np.asarray(math.cos(toe_out) * left + math.sin(toe_out) * np.cross(up, left))
+        var = max(apart**2 / (falls_var + travel_var), 1.0) / (1.0 / falls_var + 1.0 / travel_var)
     confidence = float((travel @ cross(_vector(axis), _vector(up))).sum() / _sizes(travel).sum())
     return _Walk(axis, math.sqrt(var), confidence, push_offs, mids, spans[kept])
 
