@@ -60,11 +60,10 @@ MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or th
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # in the score, of half the unrest at the quiet instants or twice the time that strides take up
 TRAVEL_SD_RAD, FALLS_SD_RAD = 0.21, 0.087
-MOST_TOE_OUT_RAD = 0.21
-MOST_AXIS_SD_RAD = 0.42  # 24°; of real feet 15° at most; so far off, a tenth of the pitch is missing
+MOST_AXIS_SD_RAD = 0.35  # 24°; of real feet 15° at most; so far off, a tenth of the pitch is missing
 BACKWARD_RAD = 0.35  # tilted toe-up by so much more than toe-down: backward; of 138 real feet that go forward 0.19
 SIDEWAYS = 1.6  # times as much tilt about the way as across it; of these feet 1.2 (1.5 in 20 s), carried sideways 1.8
-ASTRAY_RAD, MOST_ASTRAY = 0.52, 1.0 / 3.0  # strides that lead so far from where all do; of these feet a fifth (a third
+ASTRAY_RAD, MOST_ASTRAY = 0.7, 1.0 / 3.0  # strides that lead so far from where all do; of these feet a fifth (a third
 # in 20 s), of a sensor shaken by hand 33–90 %
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
@@ -362,7 +361,8 @@ def _joined(
         mean = _typical(vectors, up)
         falls_var = FALLS_SD_RAD**2 + median(_angles(vectors, mean)) ** 2
         apart = float(np.arctan2(np.cross(left, mean) @ up, left @ mean))
-        toe_out = min(max(apart * travel_var / (falls_var + travel_var), -MOST_TOE_OUT_RAD), MOST_TOE_OUT_RAD)
+        most = math.sqrt(travel_var)
+        toe_out = min(max(apart * travel_var / (falls_var + travel_var), -most), most)
         axis = np.asarray(math.cos(toe_out) * left + math.sin(toe_out) * np.cross(up, left))
         var = max(apart**2 / (falls_var + travel_var), 1.0) / (1.0 / falls_var + 1.0 / travel_var)
     confidence = float((travel @ cross(_vector(axis), _vector(up))).sum() / _sizes(travel).sum())
