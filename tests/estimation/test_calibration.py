@@ -188,17 +188,17 @@ def crabbing(crab_deg: float) -> Track:
     return replace(track, acc_mps2=acc + math.sin(angle) * ahead[:, None] * [0.0, 1.0, 0.0])
 
 
-@pytest.mark.parametrize("crab_deg", [0.0, 15.0, 25.0, 50.0, -50.0])
-def test_where_falls_and_travel_are_at_odds_the_axis_lies_between_and_is_less_sure(crab_deg: float) -> None:
-    """The travel counts nearly three quarters: a foot rolls obliquely over its toes by more than it points outward."""
+@pytest.mark.parametrize(("crab_deg", "off_deg"), [(0.0, 0.0), (15.0, 2.2), (25.0, 13.0), (50.0, 38.0), (-50.0, -38.0)])
+def test_falls_move_the_axis_from_the_travel_by_its_uncertainty_at_most(crab_deg: float, off_deg: float) -> None:
+    """Up to 14° that the two are apart the falls count six sevenths; beyond, 12°, and the axis is less sure."""
     found, straight = calibrate_track(crabbing(crab_deg)), calibrate_track(crabbing(0.0))
-    assert math.degrees(math.atan2(-found.toe_down[0], found.toe_down[1])) == pytest.approx(0.725 * crab_deg, abs=1.5)
-    assert found.axis_sd_rad == pytest.approx(straight.axis_sd_rad * max(abs(crab_deg) / 17.5, 1.0), rel=0.05)
+    assert math.degrees(math.atan2(-found.toe_down[0], found.toe_down[1])) == pytest.approx(off_deg, abs=1.0)
+    assert found.axis_sd_rad == pytest.approx(straight.axis_sd_rad * max(abs(crab_deg) / 13.0, 1.0), rel=0.05)
 
 
 def test_an_axis_that_is_too_uncertain_is_refused() -> None:
     assert re.search(
-        r"the mediolateral axis is uncertain by ±25° \(24° are allowed\): the 12 strides", refused(crabbing(57.0))
+        r"the mediolateral axis is uncertain by ±20° \(19° are allowed\): the 12 strides", refused(crabbing(57.0))
     )
 
 
@@ -250,7 +250,7 @@ def test_two_strides_must_agree_better_than_many() -> None:
     assert found.strides == 2
     assert 0.0 < found.axis_sd_rad < 0.5 * MOST_AXIS_SD_RAD
     assert angle_deg(found.toe_down, calibrated(name, foot).toe_down) < 3.0
-    assert "of 2 movements lead more than 30° away" in refused(turned_by_turns(two, [flat_s[10]], 70.0))
+    assert "of 2 movements lead more than 40° away" in refused(turned_by_turns(two, [flat_s[10]], 90.0))
     many = calibrate_track(turned_by_turns(strides_of(name, foot, 10, 8), flat_s[10:17], 50.0))
     assert many.strides == 8
     assert found.axis_sd_rad < many.axis_sd_rad < MOST_AXIS_SD_RAD
@@ -584,7 +584,7 @@ def test_to_and_fro_has_no_direction() -> None:
         np.concatenate((there.gyr_radps, back.gyr_radps)),
     )
     message = refused(both)
-    assert re.search(r"no one way forward: \d+ of \d+ movements lead more than 30° away", message)
+    assert re.search(r"no one way forward: \d+ of \d+ movements lead more than 40° away", message)
     assert "Walk straight ahead" in message
 
 
@@ -614,7 +614,7 @@ def test_a_sensor_shaken_by_hand_is_no_walk(seed: int) -> None:
     acc = np.einsum("nji,nj->ni", turned_to, force)
     plain = recording("both_feet_100hz").tracks["left_foot"]
     message = refused(with_samples(plain, (1e9 * t_s).astype(np.int64), acc, gyr))
-    assert re.search(r"no one way forward: \d+ of \d+ movements lead more than 30° away", message)
+    assert re.search(r"no one way forward: \d+ of \d+ movements lead more than 40° away", message)
 
 
 # drop feet that slap down faster than they push off, or whose falls part the strides in their middle: each was refused

@@ -2,10 +2,11 @@
 
 Nothing is assumed of the mounting, of rests, of cadence or of the side; of the walk, that it goes forward. Where the
 strides lead, each seen from its own foot, is forward up to toe-out: turns, curves and a foot swung outward do not
-matter. The *fall* of the mediolateral rate from push-off to mid-swing tells the axis again: heel rise and the flexion
-of hip and knee are sagittal even where a foot lands on its edge or drags, but a foot rolls obliquely over its toes. The
-two are joined, each as sure as it is, and where they are at odds the axis is less sure. That the foot tilts further
-toe-down than toe-up tells forward from backward.
+matter. The *fall* of the mediolateral rate from push-off to mid-swing tells the axis more precisely: heel rise and the
+flexion of hip and knee are sagittal even where a foot lands on its edge or drags. But some feet roll obliquely over
+their toes. So the two are joined, each as sure as it is, and the falls, whose error has the longer tails, move the axis
+by no more than the travel is uncertain by (Huber, *Ann Math Stat* 35, 1964). Where the two are at odds the axis is less
+sure. That the foot tilts further toe-down than toe-up tells forward from backward.
 
 Gravity shows at the quietest instants between two falls. There the accelerometer's magnitude differs from gravity by a
 bias (a scale fits real sensors worse). The gyroscope's bias follows from gravity's closure: from quiet instant to quiet
@@ -59,12 +60,13 @@ RESTLESS_PERCENT = 85.0
 MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or this: a stride that ends so is cut
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # in the score, of half the unrest at the quiet instants or twice the time that strides take up
-TRAVEL_SD_RAD, FALLS_SD_RAD = 0.21, 0.087
-MOST_AXIS_SD_RAD = 0.35  # 24°; of real feet 15° at most; so far off, a tenth of the pitch is missing
+TRAVEL_SD_RAD = 0.21  # how far a foot points from where it goes: a toe-out of 7 ± 6°, of some more
+FALLS_SD_RAD = 0.087  # of the falls, where the foot does not roll obliquely
+MOST_AXIS_SD_RAD = 0.33  # 19°; of 135 real feet 13° at most, in 20 s 19°; so far off, a twentieth of the pitch is lost
 BACKWARD_RAD = 0.35  # tilted toe-up by so much more than toe-down: backward; of 138 real feet that go forward 0.19
 SIDEWAYS = 1.6  # times as much tilt about the way as across it; of these feet 1.2 (1.5 in 20 s), carried sideways 1.8
-ASTRAY_RAD, MOST_ASTRAY = 0.7, 1.0 / 3.0  # strides that lead so far from where all do; of these feet a fifth (a third
-# in 20 s), of a sensor shaken by hand 33–90 %
+ASTRAY_RAD, MOST_ASTRAY = 0.7, 1.0 / 3.0  # strides that lead so far from where all do; of these feet a sixth (in 20 s
+# a third), of a sensor shaken by hand 36–81 % (5–95 %)
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
@@ -343,7 +345,10 @@ def _other_way(
 def _joined(
     rate_hz: float, smooth: FloatArray, spans: IntArray, travel: FloatArray, left: FloatArray, up: FloatArray
 ) -> _Walk:
-    """The axis by the falls, the largest of each stride, and by the travel, each as sure as it is."""
+    """The axis by the falls, the largest of each stride, and by the travel, each as sure as it is.
+
+    Which minimises a square of the angle to the travel and Huber's loss of that to the falls.
+    """
     agreement, axis, var = _agreement(travel), left, np.inf
     travel_var = TRAVEL_SD_RAD**2 + (1.0 / agreement**2 - 1.0) / len(travel)
     push_offs = mids = kept = np.zeros(0, np.int64)
