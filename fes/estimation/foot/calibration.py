@@ -5,8 +5,9 @@ strides lead, each seen from its own foot, is forward up to toe-out: turns, curv
 matter. The *fall* of the mediolateral rate from push-off to mid-swing tells the axis more precisely: heel rise and the
 flexion of hip and knee are sagittal even where a foot lands on its edge or drags. But some feet roll obliquely over
 their toes. So the two are joined, each as sure as it is, and the falls, whose error has the longer tails, move the axis
-by no more than the travel is uncertain by (Huber, *Ann Math Stat* 35, 1964). Where the two are at odds the axis is less
-sure. That the foot tilts further toe-down than toe-up tells forward from backward.
+from the travel by no more than one standard deviation of what the two are apart (Huber, *Ann Math Stat* 35, 1964).
+Where they are at odds the axis is less sure. That the foot tilts further toe-down than toe-up tells forward from
+backward.
 
 Gravity shows at the quietest instants between two falls. There the accelerometer's magnitude differs from gravity by a
 bias (a scale fits real sensors worse). The gyroscope's bias follows from gravity's closure: from quiet instant to quiet
@@ -366,10 +367,10 @@ def _joined(
         mean = _typical(vectors, up)
         falls_var = FALLS_SD_RAD**2 + median(_angles(vectors, mean)) ** 2
         apart = float(np.arctan2(np.cross(left, mean) @ up, left @ mean))
-        most = math.sqrt(travel_var)
-        toe_out = min(max(apart * travel_var / (falls_var + travel_var), -most), most)
+        sum_var = falls_var + travel_var
+        toe_out = math.copysign(min(abs(apart) * travel_var / sum_var, math.sqrt(sum_var)), apart)
         axis = np.asarray(math.cos(toe_out) * left + math.sin(toe_out) * np.cross(up, left))
-        var = max(apart**2 / (falls_var + travel_var), 1.0) / (1.0 / falls_var + 1.0 / travel_var)
+        var = max(apart**2 / sum_var, 1.0) * falls_var * travel_var / sum_var
     confidence = float((travel @ cross(_vector(axis), _vector(up))).sum() / _sizes(travel).sum())
     return _Walk(axis, math.sqrt(var), confidence, push_offs, mids, spans[kept])
 
