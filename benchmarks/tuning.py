@@ -10,7 +10,8 @@ switch times it) and tuned, run-to-run and by learning; *hindsight* is the const
 band of eight tried, which nobody can know beforehand. The fixed current is what a competent user sets for this patient
 with the electrodes of this day: raised until the toe clears and the heel comes first, and a fifth on top. The tuned
 walks begin there too, but where a scenario begins at 10 mA. What counts is the patient's true toe clearance, never the
-measured one. A stride is low that clears the ground by less than the band's low end.
+measured one. A stride is low that clears the ground by less than the band's low end. A patient whom the calibration
+refuses is not replaced: every stride counts as outside the band.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from tuning_cohort import BAND_MM, MOST_MA, PITCH_DEG, WIDTH_US, channel_of, cli
 
 from fes.config import Channel, FootGeometry, Session
 from fes.control.controller import Controller
+from fes.estimation.foot.calibration import CalibrationError
 from fes.signals import NS_PER_S, ImuSample
 from fes.simulation.forward import PatientSettings, VirtualPatient, harm_of
 from fes.simulation.forward.gait_patterns import PATTERNS
@@ -276,6 +278,16 @@ class Result:
     end_ma: float
     rolled: list[bool]  # strides from the fourth stimulated one on that landed within ROLL_DEG of level
     push_off_lost: float
+    refused: str = ""  # why the patient could not be calibrated
+
+
+def not_calibrated(strides: int, why: str) -> Result:
+    """A walk that never began: no stride is in the band."""
+    outside = [False] * strides
+    return Result(
+        outside, outside, outside, 0.0, 0.0, None, 0, False, "", "", strides, False, False, None, Counter(), 0.0,
+        outside[SETTLED:], 0.0, why,
+    )  # fmt: skip
 
 
 def over(done: Walk, session: Session) -> str:
@@ -417,12 +429,17 @@ def one_patient(
 ) -> dict[str, Result]:
     """A patient of the cohort walks one scenario with each method, and with tuned ones without each of ``parts``."""
     scenario = SCENARIOS[name]
-    settings, calibration, clinic = prepared(seed, scenario.who)
-    found = {}
+    refused, found = "", {}
+    try:
+        settings, calibration, clinic = prepared(seed, scenario.who)
+    except CalibrationError as error:
+        refused = str(error)
     for method in methods:
         for part in ("", *(part for part in parts if method in TUNED and (part, method) not in NOT_OF)):
             label = f"{method} without {part}" if part else method
-            if method == "hindsight":
+            if refused:
+                found[label] = not_calibrated(scenario.strides, refused)
+            elif method == "hindsight":
                 every = [one_walk(settings, calibration, scenario, "fixed", ma, rate_ma) for ma in HINDSIGHT_MA]
                 found[label] = max(every, key=lambda one: sum(one.inside))
             else:
@@ -483,6 +500,12 @@ def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
+
+
+def refused_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
+    """Who could not be calibrated, if anybody."""
+    why = [one.refused for found in every for one in list(found.values())[:1] if one.refused]
+    return [f"- {SCENARIOS[name].text}: {len(why)} of {len(every)} not calibrated: {'; '.join(why)}"] if why else []
 
 
 def fault_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
@@ -554,9 +577,9 @@ def main() -> None:
     for name, every in walked.items():
         table += rows(name, every)
         print("\n".join(rows(name, every)), flush=True)
-        if SCENARIOS[name].fault:
-            faults += fault_lines(name, every)
-            print("\n".join(fault_lines(name, every)), flush=True)
+        also = refused_lines(name, every) + (fault_lines(name, every) if SCENARIOS[name].fault else [])
+        faults += also
+        print(*also, sep="\n", end="\n" * bool(also), flush=True)
     if asked.write is not None:
         head = f"**Seeds {seeds[0]}–{seeds[-1]}**, at most {asked.rate_ma:g} mA a stride.\n"
         text = "\n".join([head, *table, "", *faults])
@@ -573,7 +596,8 @@ def all_scenarios(
 
 def said(one: Result) -> str:
     """One walk in a few numbers."""
-    flags = f"{' STOPPED' if one.self_stopped else ''}{f' LATCHED {one.latched}' if one.latched else ''}"
+    flags = f"{' NOT CALIBRATED' if one.refused else ''}"
+    flags += f"{' STOPPED' if one.self_stopped else ''}{f' LATCHED {one.latched}' if one.latched else ''}"
     return (
         f"{fmean(one.inside):.2f} c{one.converged} s{sum(one.stumbles)} d{sum(one.drags)} t{one.put_back} "
         f"{one.charge_uc:.0f} µC low {one.low_after} named {one.named_after} "

@@ -1,7 +1,8 @@
 """The cohort of ``benchmarks/tuning.py``: who takes part, and what a competent user sets for them that day.
 
 Taking part needs a drop foot: without stimulation at least half the strides clear the ground by less than the band's
-low end. Who does not have one is passed over, as in a trial, and the seed's next draw is looked at.
+low end. Who does not have one is passed over, as in a trial, and the seed's next draw is looked at. Who cannot be
+calibrated stays in: that is a failure of the program, and the tables count it as one.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 from closed_loop_walk import calibration_of, walk
 
 from fes.config import Channel, FootGeometry, ImuDevice, Session
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.foot.calibration import FootCalibration
 from fes.signals import NS_PER_S
 from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride, draw_patient
 
@@ -39,18 +40,27 @@ def has_a_drop_foot(settings: PatientSettings) -> bool:
     return median(one.toe_clearance_m for one in strides) < 1e-3 * BAND_MM[0]
 
 
-def patient(
+def chosen(
     seed: int, who: Callable[[PatientSettings], PatientSettings] = lambda settings: settings
-) -> tuple[PatientSettings, FootCalibration, int]:
-    """The cohort's patient of this seed, made over by ``who``, the calibration, and how many were passed over."""
+) -> tuple[PatientSettings, int]:
+    """The cohort's patient of this seed, made over by ``who``, and how many without a drop foot were passed over."""
     for attempt in range(100):
         settings = who(drawn(seed, attempt))
         if has_a_drop_foot(settings):
-            try:
-                return settings, calibration_of(settings), attempt
-            except CalibrationError as error:
-                print(f"{seed}: draw {attempt} not calibrated: {error}", flush=True)
+            return settings, attempt
     raise ValueError(f"seed {seed}: no drop foot in 100 draws")
+
+
+def patient(
+    seed: int, who: Callable[[PatientSettings], PatientSettings] = lambda settings: settings
+) -> tuple[PatientSettings, FootCalibration, int]:
+    """As :func:`chosen`, with the calibration in between.
+
+    Raises:
+        CalibrationError: the patient is refused; nobody is drawn instead.
+    """
+    settings, passed_over = chosen(seed, who)
+    return settings, calibration_of(settings), passed_over
 
 
 def channel_of(

@@ -104,7 +104,7 @@ def describe(calibration: Calibration) -> str:
     force = ", ".join(f"{b:+.3f}" for b in calibration.acc_bias_mps2)
     up = ", ".join(f"{v:+.2f}" for v in calibration.up)
     if isinstance(calibration, ShankCalibration):
-        turning, axis, unseen = "left", calibration.left, "from the drift between strides"
+        turning, axis, unseen, sd_rad = "left", calibration.left, "from the drift between strides", 0.0
         arm, levels = calibration.arm, calibration.levels
         how = f"learnt from {arm.windows} stances" if arm.learnt else f"taken from the prior: {arm.reason}"
         more = [
@@ -113,13 +113,15 @@ def describe(calibration: Calibration) -> str:
         ]
     else:
         turning, axis, unseen = "toe-down about", calibration.toe_down, "that by which gravity closes over the strides"
+        sd_rad = calibration.axis_sd_rad
         more = ["  " + moves(calibration, calibration.contact_jerk_mps3)]
     standing = calibration.standing
     still = "a still second was found" if standing else f"nobody stood still: the gyroscope's bias is {unseen}"
-    across = ", ".join(f"{v:+.2f}" for v in axis)
+    across, known = ", ".join(f"{v:+.2f}" for v in axis), f", known to ±{math.degrees(sd_rad):.0f}°" if sd_rad else ""
     lines = [
         f"{calibration.sensor}: from {calibration.strides} strides; {still}",
-        f"  up ({up}), {turning} ({across}) in the sensor's axes, sign {calibration.axis_confidence:.0%} sure",
+        f"  up ({up}), {turning} ({across}) in the sensor's axes, "
+        f"{calibration.axis_confidence:.0%} of the travel along forward{known}",
         f"  bias: gyroscope ({rate}) mrad/s, accelerometer ({force}) m/s²",
     ]
     return "\n".join([*lines, *more])

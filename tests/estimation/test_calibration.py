@@ -20,11 +20,9 @@ from stepping_feet import Steps, stepping
 
 from fes.calibration.recording import calibrate_phase_sensors, calibrate_track
 from fes.estimation.foot.calibration import (
-    FEW_SCORE,
-    FEW_STRIDES,
     LYING_MPS2,
     LYING_SHARE,
-    MIN_SCORE,
+    MOST_AXIS_SD_RAD,
     CalibrationError,
     FootCalibration,
     calibrate_foot,
@@ -34,7 +32,7 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Recording, Track, read_recording
 from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, StrideResult
-from fes.simulation.forward import VirtualPatient, settings_for
+from fes.simulation.forward import VirtualPatient, draw_patient, settings_for
 from fes.simulation.forward.closed_loop import recording_of
 from fes.simulation.sensor import ImuModel, mounting
 from fes.simulation.truth import load_truth
@@ -179,14 +177,36 @@ def test_the_axis_of_a_foot_that_lands_on_its_edge(roll_deg: float) -> None:
         assert abs(float(most_turned @ plain.toe_down)) < np.cos(np.radians(25.0))
 
 
-@pytest.mark.parametrize(("crab_deg", "off_deg"), [(0.0, 0.0), (15.0, 2.2), (25.0, 3.7), (50.0, 23.6), (-50.0, -23.6)])
-def test_no_foot_points_further_from_where_it_goes_than_real_ones_do(crab_deg: float, off_deg: float) -> None:
-    """A foot that turns about its y axis and goes another way: up to 26° that is toe-out, beyond no foot's."""
+def crabbing(crab_deg: float) -> Track:
+    """A foot that turns about its y axis and goes another way, so far to the left of where it points."""
     track, places = stepping("right_foot", Steps())
-    aside = math.tan(math.radians(crab_deg)) * np.gradient(np.gradient(places[:, 0], 0.01), 0.01)
-    acc = track.acc_mps2 + aside[:, None] * [0.0, 1.0, 0.0]
-    toe_down = calibrate_track(replace(track, acc_mps2=acc)).toe_down
-    assert math.degrees(math.atan2(-toe_down[0], toe_down[1])) == pytest.approx(off_deg, abs=1.0)
+    ahead = np.gradient(np.gradient(places[:, 0], 0.01), 0.01)
+    pitch = -np.cumsum(track.gyr_radps[:, 1]) * 0.01
+    angle = math.radians(crab_deg)
+    acc = track.acc_mps2 + (math.cos(angle) - 1.0) * np.outer(ahead, [1.0, 0.0, 0.0]) * np.cos(pitch)[:, None]
+    acc -= (math.cos(angle) - 1.0) * np.outer(ahead * np.sin(pitch), [0.0, 0.0, 1.0])
+    return replace(track, acc_mps2=acc + math.sin(angle) * ahead[:, None] * [0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize(("crab_deg", "off_deg"), [(0.0, 0.0), (15.0, 2.2), (25.0, 12.0), (50.0, 37.0), (-50.0, -37.0)])
+def test_falls_move_the_axis_from_the_travel_by_13_degrees_at_most(crab_deg: float, off_deg: float) -> None:
+    """Up to 15° that the two are apart the falls count six sevenths; beyond 13° the axis is less sure."""
+    found, straight = calibrate_track(crabbing(crab_deg)), calibrate_track(crabbing(0.0))
+    assert math.degrees(math.atan2(-found.toe_down[0], found.toe_down[1])) == pytest.approx(off_deg, abs=1.0)
+    assert found.axis_sd_rad == pytest.approx(straight.axis_sd_rad * max(abs(crab_deg) / 13.0, 1.0), rel=0.05)
+
+
+def test_an_axis_that_is_too_uncertain_is_refused() -> None:
+    assert re.search(
+        r"the mediolateral axis is uncertain by ±20° \(19° are allowed\): the 12 strides", refused(crabbing(57.0))
+    )
+
+
+@pytest.mark.parametrize("crab_deg", [90.0, -90.0, 75.0])
+def test_a_foot_that_is_carried_sideways_is_refused_as_that(crab_deg: float) -> None:
+    message = refused(crabbing(crab_deg))
+    assert re.search(r"it walked sideways: the foot tilts by \d+° about the line that it is carried along", message)
+    assert "Walk straight ahead" in message
 
 
 SHORT = [(name, foot, begin_s) for name, foot in WALKS[3:] for begin_s in (10.0, 14.0, 19.0, 23.0)]
@@ -227,16 +247,13 @@ def test_two_strides_must_agree_better_than_many() -> None:
     flat_s = [stride.t_stance_s + 0.15 for stride in load_truth(FOLDER / f"{name}.parquet").strides_of(foot)]
     two = strides_of(name, foot, 10, 2)
     found = calibrate_track(two)
-    assert found.strides == 2 < FEW_STRIDES
-    assert found.axis_confidence > FEW_SCORE
+    assert found.strides == 2
+    assert 0.0 < found.axis_sd_rad < 0.5 * MOST_AXIS_SD_RAD
     assert angle_deg(found.toe_down, calibrated(name, foot).toe_down) < 3.0
-    message = refused(turned_by_turns(two, [flat_s[10]], 70.0))
-    agreeing = re.search(r"\((\d+)% along forward\)", message)
-    assert agreeing is not None
-    assert MIN_SCORE < 0.01 * int(agreeing[1]) < FEW_SCORE
-    many = calibrate_track(turned_by_turns(strides_of(name, foot, 10, 8), flat_s[10:17], 60.0))
+    assert "of 2 movements lead more than 40° away" in refused(turned_by_turns(two, [flat_s[10]], 90.0))
+    many = calibrate_track(turned_by_turns(strides_of(name, foot, 10, 8), flat_s[10:17], 50.0))
     assert many.strides == 8
-    assert many.axis_confidence > MIN_SCORE
+    assert found.axis_sd_rad < many.axis_sd_rad < MOST_AXIS_SD_RAD
 
 
 def test_strides_that_hold_a_gap_are_left_out() -> None:
@@ -507,7 +524,7 @@ def test_nobody_walks() -> None:
 
 def test_one_stride_is_not_enough() -> None:
     message = refused(strides_of("negard_patient1", "right_foot", 5, 1))
-    assert re.search("[01] strides found, 2 are needed", message) or "do not agree on a direction" in message
+    assert re.search("[01] strides found, 2 are needed", message)
 
 
 def test_acceleration_in_g() -> None:
@@ -555,14 +572,10 @@ def test_an_accelerometer_that_has_stopped(held: tuple[float, ...], noise_mps2: 
     assert "the accelerometer shows gravity and nothing else" in refused(replace(track, acc_mps2=acc))
 
 
-@pytest.mark.parametrize("way", ["walked backward", "turned sensor"])
-def test_to_and_fro_has_no_direction(way: str) -> None:
-    """Half of the strides carry the sensor the other way: which way the toe points stays open."""
+def test_to_and_fro_has_no_direction() -> None:
+    """Half of the strides carry the sensor the other way, as the film runs backward: where is the toe?"""
     there = samples("both_feet_100hz", "left_foot", 8.0, 24.0)
-    if way == "walked backward":  # as the film runs backward
-        back = replace(there, acc_mps2=there.acc_mps2[::-1], gyr_radps=-there.gyr_radps[::-1])
-    else:
-        back = turned(there, Rotation.from_rotvec(np.pi * np.array(calibrated("both_feet_100hz", "left_foot").up)))
+    back = replace(there, acc_mps2=there.acc_mps2[::-1], gyr_radps=-there.gyr_radps[::-1])
     shift = there.t_sensor_ns[-1] - there.t_sensor_ns[0] + 10_000_000
     both = with_samples(
         there,
@@ -571,8 +584,63 @@ def test_to_and_fro_has_no_direction(way: str) -> None:
         np.concatenate((there.gyr_radps, back.gyr_radps)),
     )
     message = refused(both)
-    assert "do not agree on a direction of travel" in message
-    assert "walking straight ahead" in message
+    assert re.search(r"no one way forward: \d+ of \d+ movements lead more than 40° away", message)
+    assert "Walk straight ahead" in message
+
+
+@pytest.mark.parametrize("name", ["both_feet_100hz", "negard_patient1", "negard_patient2"])
+def test_a_walk_backward_is_refused_as_that(name: str) -> None:
+    """As the film runs backward: the foot tilts as far, toe up where it tilted toe down."""
+    track = recording(name).tracks["right_foot"]
+    back = with_samples(track, track.t_sensor_ns, track.acc_mps2[::-1].copy(), -track.gyr_radps[::-1])
+    tilts = re.search(r"it walked backward: .* tilts toe-up by (\d+)° and toe-down by (\d+)°", refused(back))
+    assert tilts is not None
+    assert int(tilts[1]) > 20 + int(tilts[2])
+
+
+@pytest.mark.parametrize("seed", [0, 4, 8])
+def test_a_sensor_shaken_by_hand_is_no_walk(seed: int) -> None:
+    """Carried and turned to and fro at 1–4 Hz, with pauses."""
+    random, t_s = np.random.default_rng(seed), np.arange(0.0, 30.0, 0.01)
+    held = np.clip(2.0 * np.sin(2.0 * np.pi * t_s / random.uniform(3.0, 8.0)) + 0.5, 0.0, 1.0)[:, None]
+    waves = random.normal(size=(2, 4, 1, 3)) * np.sin(
+        2.0 * np.pi * (random.uniform(1.0, 4.0, (2, 4, 1, 1)) * t_s[:, None] + random.random((2, 4, 1, 3)))
+    )
+    turn, place = held * waves.sum(axis=1) * np.array([0.3, 0.04])[:, None, None]
+    turned_to = Rotation.from_rotvec(turn).as_matrix()
+    spin = np.einsum("nji,njk->nik", turned_to, np.gradient(turned_to, 0.01, axis=0))
+    gyr = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
+    force = np.gradient(np.gradient(place, 0.01, axis=0), 0.01, axis=0) + np.array([0.0, 0.0, G_MPS2])
+    acc = np.einsum("nji,nj->ni", turned_to, force)
+    plain = recording("both_feet_100hz").tracks["left_foot"]
+    message = refused(with_samples(plain, (1e9 * t_s).astype(np.int64), acc, gyr))
+    assert re.search(r"no one way forward: \d+ of \d+ movements lead more than 40° away", message)
+
+
+# drop feet that slap down faster than they push off, or whose falls part the strides in their middle: each was refused
+SLAPPING = ((7016, 0), (7029, 0), (7047, 0), (7083, 0), (7089, 0))
+
+
+@pytest.mark.parametrize(("number", "seed"), SLAPPING)
+def test_a_drop_foot_that_slaps_down_is_calibrated(number: int, seed: int) -> None:
+    settings = draw_patient(seed, number, sensors=("right_foot",))
+    patient, foot = VirtualPatient(settings), settings.affected_foot
+    found = calibrate_track(recording_of(patient, patient.advance(25 * NS_PER_S), "", "").tracks[foot])
+    assert angle_deg(found.toe_down, mounting(*settings.placements[foot].angles_deg)[1]) < 8.5
+    assert found.axis_sd_rad < math.radians(15.0)
+
+
+def test_a_walk_in_a_circle_is_calibrated_as_one_straight_ahead() -> None:
+    """Of one metre's radius: each stride turns the foot by 46° and the way with it."""
+    straight, places = stepping("right_foot", Steps())
+    speed, pitch = np.gradient(places[:, 0], 0.01), np.cumsum(straight.gyr_radps[:, 1]) * -0.01
+    vertical = np.column_stack([np.sin(pitch), 0.0 * pitch, np.cos(pitch)])
+    acc = straight.acc_mps2 + np.outer(speed**2, [0.0, 1.0, 0.0])
+    curved = replace(straight, acc_mps2=acc, gyr_radps=straight.gyr_radps + speed[:, None] * vertical)
+    found, plain = calibrate_track(curved), calibrate_track(straight)
+    assert found.strides == plain.strides
+    assert angle_deg(found.toe_down, plain.toe_down) < 3.0
+    assert found.axis_sd_rad == pytest.approx(plain.axis_sd_rad, rel=0.1)
 
 
 # --- a recording's feet ----------------------------------------------------------------------------------

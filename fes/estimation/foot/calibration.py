@@ -1,9 +1,13 @@
 """How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, levels.
 
-Nothing is assumed of the mounting, of rests, of cadence or of the side. The anchor of every stride is the *fall* of the
-mediolateral rate from push-off to mid-swing: heel rise and the flexion of hip and knee are sagittal even where a foot
-lands on its edge or drags, so the median fall vector is the mediolateral axis, and it has a sign. Where the swings
-carry the foot must agree with it: how much of the travel is along forward is how sure the axis is.
+Nothing is assumed of the mounting, of rests, of cadence or of the side; of the walk, that it goes forward. Where the
+strides lead, each seen from its own foot, is forward up to toe-out: turns, curves and a foot swung outward do not
+matter. The *fall* of the mediolateral rate from push-off to mid-swing tells the axis more precisely: heel rise and the
+flexion of hip and knee are sagittal even where a foot lands on its edge or drags. But some feet roll obliquely over
+their toes. So the two are joined, each as sure as it is, and the falls, whose error has the longer tails, move the axis
+from the travel by no more than one standard deviation of what the two are apart (Huber, *Ann Math Stat* 35, 1964).
+Where they are at odds the axis is less sure. That the foot tilts further toe-down than toe-up tells forward from
+backward.
 
 Gravity shows at the quietest instants between two falls. There the accelerometer's magnitude differs from gravity by a
 bias (a scale fits real sensors worse). The gyroscope's bias follows from gravity's closure: from quiet instant to quiet
@@ -14,10 +18,12 @@ gravity cancels.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fes.estimation.foot.features import FootParameters, lags_at
 from fes.estimation.foot.movements import closures, contact_jumps, follow, moving_mean, peaks_before, quiet_ends
@@ -46,19 +52,23 @@ STANDING_S = 1.0
 STANDING_RATE_RADPS = 0.08  # standing still: no window of a second exceeds this spread
 MIN_STRIDES = 2
 MIN_TRAVEL_M = 0.15
-MIN_SCORE = 0.5
-FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
 LEAST_FALL_RADPS = 1.0  # of any swing; a foot that shuffles falls by 2.4
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
-START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
+START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, to either side
 PASSES = 3
+SAME_AXIS = 0.996  # within 5°
 RESTLESS_PERCENT = 85.0
 MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or this: a stride that ends so is cut
-MOST_CUT = 0.45  # of the strides: more, and the axis is not that of all of them
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
-QUIET_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
-TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
-MOST_TOE_OUT_RAD = 0.46  # no foot points further away from where it goes; of 135 real feet: 0.45 at most
+QUIET_WEIGHT = 0.25  # in the score, of half the unrest at the quiet instants or twice the time that strides take up
+TRAVEL_SD_RAD = 0.21  # how far a foot points from where it goes: a toe-out of 7 ± 6°, of some more
+FALLS_SD_RAD = 0.087  # of the falls, where the foot does not roll obliquely, beside their scatter
+SD_OF_MEDIAN = 1.483  # standard deviation over the median of what is normally distributed, without its sign
+MOST_AXIS_SD_RAD = 0.33  # 19°; of 135 real feet 13° at most, in 20 s 19°; so far off, a twentieth of the pitch is lost
+BACKWARD_RAD = 0.35  # tilted toe-up by so much more than toe-down: backward; of 138 real feet that go forward 0.19
+SIDEWAYS = 1.6  # times as much tilt about the way as across it; of these feet 1.2 (1.5 in 20 s), carried sideways 1.8
+ASTRAY_RAD, MOST_ASTRAY = 0.7, 1.0 / 3.0  # strides that lead so far from where all do; of these feet a sixth (in 20 s
+# a third), of a sensor shaken by hand 36–81 % (5–95 %)
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
@@ -69,7 +79,6 @@ ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
 HUBER = 2.5
 USUAL_STRIDE_S = 1.2
-SAME_AXIS = 0.996  # within 5°
 LEAST_JUMP_MPS3 = 500.0  # of a soft contact: what counts as one is a share of it
 
 
@@ -83,9 +92,10 @@ class FootCalibration:
 
     ``push_off_radps``, ``fall_radps``, ``stride_s`` and ``contact_jerk_mps3`` are this person's typical push-off (peak
     toe-down rate), fall from there to mid-swing, stride time and jump of the force at contact: the guards' measures.
-    ``axis_confidence`` (0–1) is the share of the travel that is along forward. ``strides`` is how many the result rests
-    on, ``standing`` whether the gyroscope's bias is that of a still second (if not, that by which gravity closes over
-    the strides, or where the foot never comes to rest the calibrated zero, left to the orientation filter).
+    ``axis_confidence`` (0–1) is the share of the travel that is along forward, ``axis_sd_rad`` the uncertainty of
+    ``toe_down`` (0 in files of former versions). ``strides`` is how many the result rests on, ``standing`` whether the
+    gyroscope's bias is that of a still second (if not, that by which gravity closes over the strides, or where the foot
+    never comes to rest the calibrated zero, left to the orientation filter).
     """
 
     sensor: str
@@ -101,6 +111,7 @@ class FootCalibration:
     axis_confidence: float
     strides: int
     standing: bool
+    axis_sd_rad: float = 0.0
 
     def parameters(self) -> FootParameters:
         """For the compiled core."""
@@ -154,10 +165,11 @@ class FootCalibration:
 
 
 class _Walk(NamedTuple):
-    """The strides of a recording as one axis shows them, K of them."""
+    """The strides of a recording, K of them, and the axis they show."""
 
     axis: FloatArray  # (3,) unit, level, toe-down
-    cone_rad: float  # the fall vectors' scatter about it
+    axis_sd_rad: float
+    confidence: float  # share of the travel along forward
     push_offs: IntArray  # (K,) rows
     mids: IntArray  # (K,) rows
     spans: IntArray  # (K, 2) rows, from quiet to quiet instant
@@ -184,8 +196,8 @@ def calibrate_foot(
             accelerometer's bias across gravity is left at zero, for a climb would pass for it.
 
     Raises:
-        CalibrationError: too short, never at rest, too few strides, a direction of travel that is not clear, rates in
-            degrees, or an accelerometer that cannot be right.
+        CalibrationError: too short, never at rest, too few strides, backward, sideways or to and fro, an uncertain
+            axis, a foot that hardly turns, rates in degrees, or an accelerometer that cannot be right.
     """
     window = max(round(QUIET_WINDOW_S * rate_hz), 2)
     if len(t_ns) < 20 * window:
@@ -206,7 +218,7 @@ def calibrate_foot(
         _refuse_lying(sensor, (moving_mean(_sizes(acc_mps2), window) - rest_norm)[energy < REST_RADPS**2])
     up = rest_force / np.linalg.norm(rest_force)
     acc = without(acc_mps2, up * (rest_norm - G_MPS2))
-    walk, travel, confidence = _find_walk(sensor, rate_hz, t_ns, acc, gyr, unrest, up)
+    walk = _find_walk(sensor, rate_hz, t_ns, acc, gyr, unrest, up)
     quiet = np.unique(walk.spans)
     quiet = quiet[energy[quiet] < REST_RADPS**2]
     if 2 * len(quiet) > len(walk.spans):
@@ -218,14 +230,13 @@ def calibrate_foot(
     acc_bias = up * (rest_norm - G_MPS2)
     if not math.isnan(incline):
         acc_bias = acc_bias + _acc_bias_across(t_ns, walk.spans, moved, up, incline)
-    axis = _blend(walk, travel, up)
-    toe_down, around = gyr @ axis, max(round(SMOOTH_S * rate_hz), 1)
+    toe_down, around = gyr @ walk.axis, max(round(SMOOTH_S * rate_hz), 1)
     push_off = _around(np.maximum, toe_down, walk.push_offs, around)
     fall_radps = median(push_off - _around(np.minimum, toe_down, walk.mids, around))
     if fall_radps < LEAST_FALL_RADPS:
         raise CalibrationError(
-            f"{sensor}: its strides turn the foot by {fall_radps:.1f} rad/s from push-off to mid-swing, "
-            "which no walk does. Calibrate on a stretch of walking straight ahead."
+            f"{sensor}: too slow to turn: its rate falls by {fall_radps:.1f} rad/s from push-off to mid-swing; a foot "
+            f"that shuffles, by {LEAST_FALL_RADPS:g} at least. Walk straight ahead, as briskly as is safe."
         )
     between_s = 1e-9 * np.diff(t_ns[walk.mids]).astype(np.float64)
     between_s = between_s[between_s < STRIDE_S[1]]
@@ -236,53 +247,53 @@ def calibrate_foot(
         sensor=sensor,
         rate_hz=rate_hz,
         up=_vector(up),
-        toe_down=_vector(axis),
+        toe_down=_vector(walk.axis),
         acc_bias_mps2=_vector(acc_bias),
         gyr_bias_radps=_vector(rate_bias),
         push_off_radps=median(push_off),
         fall_radps=fall_radps,
         stride_s=median(between_s) if len(between_s) else USUAL_STRIDE_S,
         contact_jerk_mps3=max(median(jumps) if len(jumps) else 0.0, LEAST_JUMP_MPS3),
-        axis_confidence=confidence,
+        axis_confidence=walk.confidence,
         strides=len(walk.spans),
         standing=standing,
+        axis_sd_rad=walk.axis_sd_rad,
     )
 
 
 def _find_walk(
     sensor: str, rate_hz: float, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, unrest: FloatArray, up: FloatArray
-) -> tuple[_Walk, FloatArray, float]:
-    """The strides along the best of some axes, where each of them leads (K, 3), and how sure the axis is.
+) -> _Walk:
+    """The strides as the falls about the best of some axes part them, and the axis that they and the travel show.
 
-    An axis is as good as the share of the travel along its forward, and the better the quieter the instants are between
-    its swings: with a "rest" in mid-swing the travel comes out reversed and as large.
+    Strides are parted the better, the more of their ways agree, the quieter the instants between them are and the more
+    of the time they take up. The falls' sign does not matter yet: a slow foot that slaps down falls further after its
+    swing than before.
     """
     window = max(round(SMOOTH_S * rate_hz), 1)
     smooth = np.stack([moving_mean(moving_mean(column, window), window) for column in gyr.T], axis=1)
     gaps = np.cumsum(np.append(0, np.diff(t_ns) > NS_PER_S * max(LONGEST_GAP_S, 3.5 / rate_hz)))
-    walks = _walks(rate_hz, smooth, unrest, gaps, up)
-    found: list[tuple[float, float, _Walk, FloatArray]] = []
-    least = min((_restless(unrest, walk.spans) for walk in walks), default=0.0)
-    most, lively = 0, np.zeros(0)
-    for walk in walks:
-        moved = follow(t_ns, acc, gyr, walk.spans)
-        travel = _turned_back(moved["way"], moved["turn"], up)
-        ends = unrest[walk.spans].max(axis=1)
+    parted = [spans for spans in _parted(rate_hz, smooth, unrest, gaps, up) if len(spans)]
+    least = min((_restless(unrest, spans) for spans in parted), default=0.0)
+    longest = max((float(np.diff(spans).sum()) for spans in parted), default=0.0)
+    most, best, spans, travel, lively = 0, -np.inf, np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros(0)
+    for each in parted:
+        moved = follow(t_ns, acc, gyr, each)
+        ways = _turned_back(moved["way"], moved["turn"], up)
+        ends = unrest[each].max(axis=1)
         usual = max(percentile(ends, 25.0), LEAST_UNREST)
-        cut = ends > MOST_RESTLESS * usual
-        far = (_sizes(travel) > MIN_TRAVEL_M) & ~cut
-        travel *= (usual / (usual + ends))[:, None]  # what a foot that does not rest leaves in the way is no travel
-        if far.sum() > most:
-            most, lively = int(far.sum()), moved["lively"][far] / (1 + walk.spans[far, 1] - walk.spans[far, 0])
+        far = (_sizes(ways) > MIN_TRAVEL_M) & (ends <= MOST_RESTLESS * usual)
+        ways *= (usual / (usual + ends))[:, None]  # what a foot that does not rest leaves in the way is no travel
+        most = max(most, int(far.sum()))
         if far.sum() < MIN_STRIDES:
             continue
-        if cut.mean() > MOST_CUT:
-            continue
-        confidence = float((travel[far] @ cross(_vector(walk.axis), _vector(up))).sum() / _sizes(travel[far]).sum())
-        quiet = max(_restless(unrest, walk.spans), 1e-9) / max(least, 1e-9)
-        kept = _Walk(walk.axis, walk.cone_rad, walk.push_offs[far], walk.mids[far], walk.spans[far])
-        found.append((confidence - QUIET_WEIGHT * float(np.log2(quiet)), confidence, kept, travel[far]))
-    if most < MIN_STRIDES:
+        quiet = max(least, 1e-9) / max(_restless(unrest, each), 1e-9)
+        covered = float(np.diff(each[far]).sum()) / longest
+        score = _agreement(ways[far]) + QUIET_WEIGHT * math.log2(quiet * covered)
+        if score > best:
+            best, spans, travel = score, each[far], ways[far]
+            lively = moved["lively"][far] / (1 + spans[:, 1] - spans[:, 0])
+    if len(spans) < MIN_STRIDES:
         raise CalibrationError(
             f"{sensor}: {most} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
             "Record at least five strides of walking straight ahead."
@@ -292,87 +303,125 @@ def _find_walk(
             f"{sensor}: the accelerometer shows gravity and nothing else while the foot swings, so it has stopped "
             "measuring. Restart or exchange the sensor, and record again."
         )
-    _, confidence, best, travel = max(found, key=lambda each: each[0], default=(0.0, 0.0, walks[0], np.zeros((0, 3))))
-    if confidence < (FEW_SCORE if len(best.spans) < FEW_STRIDES else MIN_SCORE):
+    left = _unit(np.cross(up, travel.sum(axis=0)))
+    ahead = cross(_vector(left), _vector(up))
+    if astray := _other_way(rate_hz, gyr, spans, travel, left, ahead):
+        raise CalibrationError(f"{sensor}: {astray} Walk straight ahead, forward, at least five strides.")
+    walk = _joined(rate_hz, smooth, spans, travel, left, up)
+    if walk.axis_sd_rad > MOST_AXIS_SD_RAD:
         raise CalibrationError(
-            f"{sensor}: the strides do not agree on a direction of travel ({max(confidence, 0.0):.0%} along forward). "
-            "Calibrate on a stretch of walking straight ahead."
+            f"{sensor}: the mediolateral axis is uncertain by ±{math.degrees(walk.axis_sd_rad):.0f}° "
+            f"({math.degrees(MOST_AXIS_SD_RAD):.0f}° are allowed): the {len(spans)} strides are too few or too "
+            "unlike, or the foot turns about another axis. Walk straight ahead, ten strides or more."
         )
-    return best, travel, confidence
+    return walk
 
 
-def _walks(rate_hz: float, smooth: FloatArray, unrest: FloatArray, gaps: IntArray, up: FloatArray) -> list[_Walk]:
-    """What the start axes lead to, each once."""
-    start, walks = _mediolateral(smooth.T @ smooth, up), list[_Walk]()
+def _other_way(
+    rate_hz: float, gyr: FloatArray, spans: IntArray, travel: FloatArray, left: FloatArray, ahead: FloatArray
+) -> str:
+    """What else than walking forward the strides' ways (K, 3) and the tilts from rest to rest show; "" if nothing."""
+    astray = travel @ ahead < math.cos(ASTRAY_RAD) * _sizes(travel)
+    if astray.mean() > MOST_ASTRAY:
+        return (
+            f"no one way forward: {astray.sum()} of {len(travel)} movements lead more than "
+            f"{math.degrees(ASTRAY_RAD):.0f}° away from where all together lead, seen from the foot."
+        )
+    angle = np.cumsum(gyr @ np.stack((left, ahead), axis=1), axis=0) / rate_hz
+    tilts = np.empty((len(spans), 4))
+    for k, (first, last) in enumerate(spans.tolist()):
+        tilt = angle[first : last + 1] - np.linspace(angle[first], angle[last], last - first + 1)
+        tilts[k] = *tilt.max(axis=0), *-tilt.min(axis=0)
+    toe_down, one_side, toe_up, other_side = np.degrees(_medians(tilts)).tolist()
+    if toe_up - toe_down > math.degrees(BACKWARD_RAD):
+        return f"it walked backward: on its way the foot tilts toe-up by {toe_up:.0f}° and toe-down by {toe_down:.0f}°."
+    across, along = max(toe_down, toe_up), max(one_side, other_side)
+    if along > SIDEWAYS * across:
+        return (
+            f"it walked sideways: the foot tilts by {along:.0f}° about the line that it is carried along, "
+            f"and by {across:.0f}° across it."
+        )
+    return ""
+
+
+def _joined(
+    rate_hz: float, smooth: FloatArray, spans: IntArray, travel: FloatArray, left: FloatArray, up: FloatArray
+) -> _Walk:
+    """The axis by the falls, the largest of each stride, and by the travel, each as sure as it is.
+
+    Which minimises a square of the angle to the travel and Huber's loss of that to the falls.
+    """
+    agreement, axis, var = _agreement(travel), left, np.inf
+    travel_var = TRAVEL_SD_RAD**2 + (1.0 / agreement**2 - 1.0) / len(travel)
+    push_offs = mids = kept = np.zeros(0, np.int64)
+    for _ in range(PASSES):
+        toe_down, mids, falls = _falls(rate_hz, smooth, axis)
+        of = np.searchsorted(spans[:, 0], mids) - 1
+        order = np.lexsort((falls, of))
+        order = order[(of[order] >= 0) & (mids[order] <= spans[of[order], 1])]
+        if len(order) < MIN_STRIDES:  # the foot hardly turns across its way
+            return _Walk(left, math.pi, 0.0, push_offs, mids, spans)
+        order = order[np.append(np.diff(of[order]) > 0, True)]
+        mids, kept = mids[order], of[order]
+        push_offs = peaks_before(toe_down, mids, round(FALL_S * rate_hz) | 1)
+        vectors = _level(smooth[push_offs] - smooth[mids], up)
+        mean = _typical(vectors, up)
+        falls_var = FALLS_SD_RAD**2 + (SD_OF_MEDIAN * median(_angles(vectors, mean))) ** 2
+        apart = float(np.arctan2(np.cross(left, mean) @ up, left @ mean))
+        sum_var = falls_var + travel_var
+        toe_out = math.copysign(min(abs(apart) * travel_var / sum_var, math.sqrt(sum_var)), apart)
+        axis = np.asarray(math.cos(toe_out) * left + math.sin(toe_out) * np.cross(up, left))
+        var = max(apart**2 / sum_var, 1.0) * falls_var * travel_var / sum_var
+    confidence = float((travel @ cross(_vector(axis), _vector(up))).sum() / _sizes(travel).sum())
+    return _Walk(axis, math.sqrt(var), confidence, push_offs, mids, spans[kept])
+
+
+def _parted(
+    rate_hz: float, smooth: FloatArray, unrest: FloatArray, gaps: IntArray, up: FloatArray
+) -> Iterator[IntArray]:
+    """Spans (K, 2) of strides as the large falls about each of some axes part them."""
+    start, axes = _mediolateral(smooth.T @ smooth, up), list[FloatArray]()
     across = cross(_vector(up), _vector(start))
     for angle in START_TURNS_RAD:
         for sign in (1.0, -1.0):
-            walk = _walk_along(
-                rate_hz, smooth, unrest, gaps, up, sign * (np.cos(angle) * start + np.sin(angle) * across)
-            )
-            if walk is not None and all(float(walk.axis @ other.axis) < SAME_AXIS for other in walks):
-                walks.append(walk)
-    return walks
+            axis = sign * (np.cos(angle) * start + np.sin(angle) * across)
+            for _ in range(PASSES):
+                toe_down, mids, falls = _falls(rate_hz, smooth, axis)
+                mids = mids[_large(falls, FALL_SHARE) & _large(-toe_down[mids], TROUGH_SHARE)]
+                if len(mids) < MIN_STRIDES:
+                    break
+                push_offs = peaks_before(toe_down, mids, round(FALL_S * rate_hz) | 1)
+                axis = _typical(smooth[push_offs] - smooth[mids], up)
+            if len(mids) >= MIN_STRIDES and all(float(axis @ other) < SAME_AXIS for other in axes):
+                axes.append(axis)
+                yield _spans(push_offs, mids, unrest, gaps, rate_hz)
 
 
-def _walk_along(
-    rate_hz: float, smooth: FloatArray, unrest: FloatArray, gaps: IntArray, up: FloatArray, axis: FloatArray
-) -> _Walk | None:
-    """The strides by the falls of the rate about an axis, which follows the falls' own."""
-    reach, apart = round(FALL_S * rate_hz) | 1, max(round(APART_S * rate_hz), 1)
-    cone_rad = 0.0
-    mids = push_offs = np.zeros(0, np.int64)
-    for _ in range(PASSES):
-        toe_down = np.ascontiguousarray(smooth @ axis)
-        mids, falls = falls_apart(toe_down, reach, apart)
-        if len(mids) < MIN_STRIDES:
-            return None
-        large = (falls > FALL_SHARE * _typical(falls)) & (-toe_down[mids] > TROUGH_SHARE * _typical(-toe_down[mids]))
-        mids = mids[large]
-        if len(mids) < MIN_STRIDES:
-            return None
-        push_offs = peaks_before(toe_down, mids, reach)
-        vectors = smooth[push_offs] - smooth[mids]
-        vectors -= np.outer(vectors @ up, up)
-        sizes = _sizes(vectors)
-        axis = np.array([median(column) for column in vectors.T])
-        if not (size := float(np.linalg.norm(axis))) > 0.0:
-            return None
-        axis = axis / size
-        cone_rad = median(np.arccos(np.clip(vectors @ axis / np.maximum(sizes, 1e-9), -1.0, 1.0)))
-    return _Walk(axis, cone_rad, *_with_spans(push_offs, mids, unrest, gaps, rate_hz))
+def _falls(rate_hz: float, smooth: FloatArray, axis: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    """The rate about an axis (N,), the mid-swings in which it has fallen farthest (K,), and how far (K,)."""
+    toe_down = np.ascontiguousarray(smooth @ axis)
+    return toe_down, *falls_apart(toe_down, round(FALL_S * rate_hz) | 1, max(round(APART_S * rate_hz), 1))
 
 
-def _with_spans(
-    push_offs: IntArray, mids: IntArray, unrest: FloatArray, gaps: IntArray, rate_hz: float
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Push-offs, mid-swings (K,) and spans (K, 2) from the quietest instant before to the quietest after each
-    swing, without those that hold a gap; ``gaps`` (N,) counts them."""
+def _spans(push_offs: IntArray, mids: IntArray, unrest: FloatArray, gaps: IntArray, rate_hz: float) -> IntArray:
+    """From the quietest instant before to the quietest after each swing (K, 2), without spans that hold a gap;
+    ``gaps`` (N,) counts them."""
     limits = round(REACH_S * rate_hz), FARTHER_S * rate_hz, STRIDE_S[0] * rate_hz
-    kept, spans = quiet_ends(push_offs, mids, unrest, gaps, *limits)
-    return push_offs[kept], mids[kept], spans
+    return quiet_ends(push_offs, mids, unrest, gaps, *limits)
+
+
+def _agreement(travel: FloatArray) -> float:
+    """How much of the ways (K, 3) leads one way: 1 where all do, 0 where they come to nothing."""
+    return float(np.linalg.norm(travel.sum(axis=0)) / _sizes(travel).sum())
 
 
 def _turned_back(travel: FloatArray, turn: FloatArray, up: FloatArray) -> FloatArray:
     """Ways (K, 3) as the foot in the middle of the stride sees them: turned back by half its turn about gravity."""
     half = np.arctan2(turn[:, 1:] @ up, turn[:, 0])  # half of the whole turn's angle
     half = (half + 0.5 * np.pi) % np.pi - 0.5 * np.pi
-    level = travel - np.outer(travel @ up, up)
+    level = _level(travel, up)
     across = np.cross(up, level)
     return np.asarray(np.cos(half)[:, None] * level - np.sin(half)[:, None] * across)
-
-
-def _blend(walk: _Walk, travel: FloatArray, up: FloatArray) -> FloatArray:
-    """The mediolateral axis (3,) by the falls and by the direction of travel, each as sure as it is."""
-    ahead = travel.sum(axis=0)
-    left = np.cross(up, ahead / max(float(np.linalg.norm(ahead)), 1e-9))
-    axis = walk.axis / (AXIS_SD_RAD**2 + walk.cone_rad**2) + left / TRAVEL_SD_RAD**2
-    axis -= (axis @ up) * up
-    toe_out = float(np.arctan2(np.cross(left, axis) @ up, left @ axis))
-    if abs(toe_out) > MOST_TOE_OUT_RAD:  # a foot that hardly falls turns as much about other axes
-        most = np.copysign(MOST_TOE_OUT_RAD, toe_out)
-        axis = np.cos(most) * left + np.sin(most) * np.cross(up, left)
-    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def _bias_by_closure(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray) -> FloatArray:
@@ -422,11 +471,22 @@ def _restless(unrest: FloatArray, spans: IntArray) -> float:
     return percentile(unrest[spans.ravel()], RESTLESS_PERCENT) if len(spans) else np.inf
 
 
-def _typical(values: FloatArray) -> float:
-    """That at which the greatest hold a third of the sum: some are not swings', and standing adds none."""
+def _large(values: FloatArray, share: float) -> npt.NDArray[np.bool_]:
+    """Which of the values (K,) exceed a share of that at which the greatest hold a third of the sum: some are not
+    swings', and standing adds none."""
     ranked = np.sort(np.maximum(values, 0.0))[::-1]
     held = np.cumsum(ranked)
-    return float(ranked[np.searchsorted(held, TYPICAL_SHARE * held[-1])])
+    return np.asarray(values > share * ranked[np.searchsorted(held, TYPICAL_SHARE * held[-1:])])
+
+
+def _level(vectors: FloatArray, up: FloatArray) -> FloatArray:
+    """Vectors (K, 3) without what is along gravity."""
+    return np.asarray(vectors - np.outer(vectors @ up, up))
+
+
+def _typical(vectors: FloatArray, up: FloatArray) -> FloatArray:
+    """The level direction (3,) of their medians."""
+    return _unit(_level(_medians(_level(vectors, up))[None], up)[0])
 
 
 def _vector(v: FloatArray) -> Vector3:
@@ -462,6 +522,16 @@ def _rest(energy: FloatArray, acc: FloatArray, window: int) -> tuple[FloatArray,
 def _medians(vectors: FloatArray) -> FloatArray:
     """Of each column (3,) of vectors (N, 3)."""
     return np.array([median(column) for column in vectors.T])
+
+
+def _angles(vectors: FloatArray, unit: FloatArray) -> FloatArray:
+    """Between vectors (K, 3) and a unit vector (3,), in rad (K,)."""
+    return np.asarray(np.arccos(np.clip(vectors @ unit / np.maximum(_sizes(vectors), 1e-9), -1.0, 1.0)))
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    """The direction of a vector (3,)."""
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 def _sizes(vectors: FloatArray) -> FloatArray:
@@ -506,8 +576,7 @@ def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:
     """The horizontal axis that most of the rotation is about, by its ``moment`` (3, 3): unit (3,), sign open."""
     level = np.eye(3) - np.outer(up, up)
     _, vectors = np.linalg.eigh(level @ moment @ level)
-    axis = vectors[:, -1]
-    return np.asarray(axis / np.linalg.norm(axis))
+    return _unit(vectors[:, -1])
 
 
 def stretch_for_calibration(t_ns: IntArray, gyr_radps: FloatArray, longest_s: float = 60.0) -> slice:

@@ -17,11 +17,9 @@ BACK = 0.3  # share of the tilt found at a movement's end that is taken back whe
 # it leads (m), in the sensor frame of its beginning, with all of the tilt taken back, and with the smallest constant
 # and steadily growing bias of the force that ends it at rest and as high as it began. ``left``: what plain integration
 # leaves over at the end, vertical velocity and height; ``effect``: what a constant bias of the force does to each.
-# ``moment``: the sum of the rates' products of each axis with each; ``lively``: that of how far the force's size is
-# from gravity's.
+# ``lively``: the sum of how far the force's size is from gravity's.
 MOVED = np.dtype(
-    [("turn", "f8", 4), ("way", "f8", 3), ("left", "f8", 2), ("effect", "f8", (2, 3)), ("moment", "f8", (3, 3)),
-     ("lively", "f8")]
+    [("turn", "f8", 4), ("way", "f8", 3), ("left", "f8", 2), ("effect", "f8", (2, 3)), ("lively", "f8")]
 )  # fmt: skip
 
 
@@ -98,11 +96,9 @@ def peaks_before(x: Vec, at: Vec, reach: int) -> Vec:
 
 
 @jit_ieee
-def quiet_ends(
-    push_offs: Vec, mids: Vec, unrest: Vec, gaps: Vec, reach: int, farther: float, shortest: float
-) -> tuple[Vec, Vec]:
-    """Which swings have a span (K,), and the spans (K, 2); what lies ``farther`` off has to be half as restless."""
-    kept, spans = np.empty(len(mids), np.int64), np.empty((len(mids), 2), np.int64)
+def quiet_ends(push_offs: Vec, mids: Vec, unrest: Vec, gaps: Vec, reach: int, farther: float, shortest: float) -> Vec:
+    """The spans (K, 2) of the swings that have one; what lies ``farther`` off has to be half as restless."""
+    spans = np.empty((len(mids), 2), np.int64)
     found = 0
     for k in range(len(mids)):
         begin = max(mids[k - 1] if k else 0, push_offs[k] - reach)
@@ -121,10 +117,9 @@ def quiet_ends(
                 least_last, last = weighted, mids[k] + ahead
         whole = first > 0 and last < len(unrest) - 1  # not cut off by the recording's end
         if whole and shortest <= last - first and gaps[first] == gaps[last]:
-            kept[found] = k
             spans[found, 0], spans[found, 1] = first, last
             found += 1
-    return kept[:found], spans[:found]
+    return spans[:found]
 
 
 @jit_ieee
@@ -182,15 +177,14 @@ def _follow(t_ns: Any, acc: Any, gyr: Any, spans: Any, out: Any) -> None:
             for k in range(6):
                 effect[j, k] = 0.0
         speed = height = vx = vy = vz = hx = hy = hz = 0.0
-        xx = yy = zz = xy = xz = yz = lively = since_s = 0.0
+        lively = since_s = 0.0
         span_s = 1e-9 * (t_ns[last] - t_ns[first])
         for i in range(first, last + 1):
             if i > first:
                 since_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
                 by, share = 0.5 * since_s, since_s / span_s
-                x, y, z = gyr[i - 1, 0], gyr[i - 1, 1], gyr[i - 1, 2]
-                xx, yy, zz, xy, xz, yz = xx + x * x, yy + y * y, zz + z * z, xy + x * y, xz + x * z, yz + y * z
-                x, y, z = by * (x + gyr[i, 0]), by * (y + gyr[i, 1]), by * (z + gyr[i, 2])
+                x, y, z = gyr[i - 1, 0] + gyr[i, 0], gyr[i - 1, 1] + gyr[i, 1], gyr[i - 1, 2] + gyr[i, 2]
+                x, y, z = by * x, by * y, by * z
                 pw, px, py, pz = _turned(pw, px, py, pz, x, y, z, share * dx, share * dy)
                 share *= BACK
                 qw, qx, qy, qz = _turned(qw, qx, qy, qz, x, y, z, share * dx, share * dy)
@@ -227,9 +221,7 @@ def _follow(t_ns: Any, acc: Any, gyr: Any, spans: Any, out: Any) -> None:
         out[row, 4], out[row, 5], out[row, 6] = to_sensor(sw, sx, sy, sz, x, y, 0.0)
         out[row, 7], out[row, 8] = speed, height
         out[row, 9], out[row, 10], out[row, 11], out[row, 12], out[row, 13], out[row, 14] = vx, vy, vz, hx, hy, hz
-        out[row, 15], out[row, 16], out[row, 17] = xx, xy, xz
-        out[row, 18], out[row, 19], out[row, 20] = xy, yy, yz
-        out[row, 21], out[row, 22], out[row, 23], out[row, 24] = xz, yz, zz, lively
+        out[row, 15] = lively
 
 
 @jit_ieee
