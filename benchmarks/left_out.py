@@ -59,7 +59,7 @@ from statemachine.phases import PhaseChange, Transition
 GUARDS: dict[str, tuple[float, ...]] = {
     "turn_rad": (0.03, 0.04, 0.05),
     "heel_rise_share": (0.08, 0.12, 0.16),
-    "lifts_after": (0.29, 0.31, 0.33, 0.35),
+    "lifts_after": (0.31, 0.33, 0.35, 0.37),
     "toe_up_share": (0.22, 0.26, 0.3, 0.36),
     "swung_share": (0.4, 0.45, 0.5),
     "swung_after_s": (0.2, 0.25, 0.3),

@@ -16,7 +16,7 @@ Every foot goes twice through controller and gate, as in a session that is armed
   (foot flat ends both alike); *charge*: how much more of it, %, of all these strides; *cut*: of 100 of them, those
   whose current had fallen by T3, so as to last no longer than the last ten.
 
-``LEAD_NS`` is chosen by data: the longest with which there is no false start at all. At last that choice is made for
+``LEAD_NS`` is chosen by data: the longest with which one start in a thousand is false at most, a tenth of the bar. At last that choice is made for
 each person by all others, and the person's own false starts with it are counted; beside it every lead.
 """
 
@@ -251,9 +251,9 @@ def starts(track: Track, calibration: Calibration) -> dict[int, tuple[int, int]]
 
 
 def chosen(counts: dict[tuple[str, str], dict[int, tuple[int, int]]], without: str) -> int:
-    """The longest lead up to which none of the others has a false start."""
+    """The longest lead up to which one in a thousand of the others' starts is false at most."""
     others = [by_lead for (_, person), by_lead in counts.items() if person != without]
-    sound = takewhile(lambda lead: not any(by_lead[lead][1] for by_lead in others), LEADS_MS)
+    sound = takewhile(lambda lead: sum(o[lead][1] for o in others) <= 1e-3 * sum(o[lead][0] for o in others), LEADS_MS)
     return max(sound, default=LEADS_MS[0])
 
 

@@ -123,12 +123,12 @@ def updated(text: str, new: str) -> str:
     """A document with what stands between the markers made anew.
 
     Raises:
-        ValueError: the markers are not there once each, in order.
+        ValueError: the markers are not there in order, or the first stands there twice.
     """
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
-    if not begin or not end or BEGIN in after or END in after:
-        raise ValueError(f"expected one line {BEGIN!r} and after it one line {END!r}")
+    if not begin or not end or BEGIN in after:
+        raise ValueError(f"expected one line {BEGIN!r} and after it a line {END!r}")
     return f"{before}{BEGIN}\n\n{new}\n\n{END}{after}"
 
 

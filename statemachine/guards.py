@@ -87,7 +87,7 @@ class Thresholds(NamedTuple):
     about 5 mm up; toe-down from its highest pitch in swing, and it is coming down. Origin: data."""
     heel_rise_share: float = 0.12
     """T1: With its heel up, the foot goes on turning toe-down faster than this share of its rate. Origin: data."""
-    lifts_after: float = 0.33
+    lifts_after: float = 0.35
     """T1: No foot lifts before this share of the stride has passed since contact. Origin: data."""
     toe_up_share: float = 0.3
     """T1, T2, T3: A foot that is dragged off without a push-off turns toe-up faster than this share of its rate.
