@@ -16,8 +16,9 @@ Every foot goes twice through controller and gate, as in a session that is armed
   (foot flat ends both alike); *charge*: how much more of it, %, of all these strides; *cut*: of 100 of them, those
   whose current had fallen by T3, so as to last no longer than the last ten.
 
-``LEAD_NS`` is chosen by data: the longest with which one start in a thousand is false at most, a tenth of the bar. At last that choice is made for
-each person by all others, and the person's own false starts with it are counted; beside it every lead.
+``LEAD_NS`` is chosen by data: the longest with which one start in a thousand is false at most, a tenth of the bar. At
+last that choice is made for each person by all others, and the person's own false starts with it are counted; beside it
+every lead.
 """
 
 from __future__ import annotations
