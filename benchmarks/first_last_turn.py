@@ -272,7 +272,7 @@ def held_by(x: Any, p: Any) -> list[str]:
         found.append("mid_swing_share")
     rising = -x.toe_down_radps / max(x.toe_up_peak_radps, 1e-9)
     slowed = x.speed_share < p["slowed_share"] and rising < p["slowed_share"]
-    if not (slowed or (x.fallen_rad > p["turn_rad"] and rising < p["rising_share"])):
+    if not (slowed or x.fallen_rad > p["turn_rad"]):
         found.append("slowed_share")
     return found
 

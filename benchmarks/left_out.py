@@ -68,7 +68,6 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
     "swung_rad": (0.1, 0.15, 0.2),
     "slowed_share": (0.65, 0.7, 0.75, 0.8),
-    "rising_share": (0.2, 0.25, 0.4),
     "jerk_share": (0.15, 0.2, 0.3, 0.4),
     "rest_share": (0.12, 0.15, 0.18, 0.22),
     "flat_rad": (0.02, 0.03, 0.045),

@@ -31,8 +31,8 @@ SETTINGS: tuple[dict[str, float], ...] = (
     {"RISE_TO_PEAK": 0.45},
     {"STILL_PER_FLOOR": 1.4},
     {"STILL_PER_FLOOR": 2.2},
-    {"RISING_SHARE": 0.3},
-    {"RISING_SHARE": 0.5},
+    {"SLOWED_SHARE": 0.3},
+    {"SLOWED_SHARE": 0.5},
 )
 
 

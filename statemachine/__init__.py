@@ -29,12 +29,14 @@ both its sides.
 movement and rest of both accelerometer and gyroscope.
 
 - *Limits are shares* of this person's own push-off, swing, loading response and jolt of contact, and looks back are
-  times: one setting is for who hurries and who shuffles, at every sampling rate. The measures follow the strides. No
-  swing or loading response is measured by the stride: who is slow stands longer and need not swing longer.
+  times: one setting is for who hurries and who shuffles, at every sampling rate. The measures follow the strides. How
+  long a swing or a loading response may last is told by this person's own: who is slow stands longer and need not
+  swing longer. (Before the first one the usual share of the stride stands in.)
 - *T1 by how far the foot has turned* since it stood still, for a foot rolls on all through stance.
 - *T2 by the derivative.* The paper's text waits until the rotation changes sign, some 60 ms after foot off; its formula
   until the derivative is negative, which is right. `swing_at_reversal` asks for the text's rule.
-- *T3 only after mid-swing, and without a jolt too*: foot off jolts as well, and a soft contact does not.
+- *T3 only after mid-swing, and without a jolt too*: foot off jolts as well, and so does a toe that scuffs, at the full
+  speed of the swing; a soft contact does not.
 - *T4 by the pitch*, for a brisk walker's foot never comes to rest. One that lands on its toes comes to flat from below.
 - *T5 and T6 by a rest that lasts*, for a slow swing halts above the ground before it lands.
 - *A foot that is dragged or carried*, by weakness or by stimulation, has no push-off: T1 and T2 know it by its turn

@@ -30,7 +30,7 @@ class Features(NamedTuple):
     ``resting_s`` is how long the foot has hardly turned, ``settled_s`` how long it has stood still since contact,
     ``calm_s`` how long its force has been gravity's alone. ``travelling``: its dead-reckoned speed says that it moves.
     ``speed_share`` is that speed as a share of its peak in this swing. ``swung_rad`` is how far the foot has turned
-    toe-up since foot off, from its lowest pitch, and ``fallen_rad`` how far it has come down again from its highest.
+    toe-up since foot off, from its lowest pitch; ``fallen_rad`` is how far it has come down from its highest since.
     """
 
     toe_down_radps: float
@@ -118,9 +118,6 @@ class Thresholds(NamedTuple):
     slowed_share: float = 0.75
     """T3: Mid-swing is over once the speed of the foot and its toe-up rate are both below this share of their peaks
     in this swing; a scuff comes at full speed. Origin: data."""
-    rising_share: float = 0.25
-    """T3: Of a foot that comes down, mid-swing is over once its toe-up rate is below this share of its peak.
-    Origin: data."""
     jerk_share: float = 0.3
     """T3: The force jumps at contact by more than this share of its typical jump. Origin: the paper's jump; the
     share data."""
@@ -153,7 +150,8 @@ def t1(x: Features, p: Thresholds) -> bool:
     """Stance → pre-swing: the heel rises (or the foot is dragged off without that).
 
     The paper asks for movement of both sensors. A foot rolls on all through stance, so how far it has turned since it
-    last stood still decides, and that it goes on turning.
+    last stood still decides, and that it goes on turning. A swing whose beginning was missed tells itself by its turn
+    toe-up, which no stance has.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     heel_rises = (
@@ -200,7 +198,7 @@ def t3(x: Features, p: Thresholds) -> bool:
         | (x.swung_rad > p.swung_rad)
     )
     slowed = (x.speed_share < p.slowed_share) & (-x.toe_down_radps < p.slowed_share * x.toe_up_peak_radps)
-    comes_down = (x.fallen_rad > p.turn_rad) & (-x.toe_down_radps < p.rising_share * x.toe_up_peak_radps)
+    comes_down = x.fallen_rad > p.turn_rad
     turned_down = x.toe_down_radps > p.rest_share * rate
     jolted = x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
     lies = (x.resting_s > p.soft_contact_s) & (x.calm_s > p.soft_contact_s) & (x.travelling == NO)

@@ -92,11 +92,19 @@ class Terms(_Joined):
 
     def why_not(self) -> str:
         """What was lacking, "" where nothing was."""
-        lacking = [part for part in self.parts if not part.holds]
         if self.holds:
             return ""
-        said = [part.why_not() if isinstance(part, Terms) else part.failed() for part in lacking]
-        return ", and ".join(said) if self.every else "none of these: " + "; ".join(said)
+        if not self.every:
+            return "none of these holds: " + "; ".join(map(_lacking, self.parts))
+        lacking = (part for part in self.parts if not part.holds)
+        return ", and ".join(part.why_not() if isinstance(part, Terms) else part.failed() for part in lacking)
+
+
+def _lacking(part: Term | Terms) -> str:
+    """What would have to hold and does not, as the guard asks it."""
+    if isinstance(part, Term):
+        return str(part)
+    return (" and " if part.every else " or ").join(_lacking(each) for each in part.parts if not each.holds)
 
 
 def terms_of(guard: Guard, x: Features, p: Thresholds) -> Terms:

@@ -8,6 +8,8 @@ from fes import limits
 from fes.config.base import Foot, Phase, Settings
 from fes.config.tuning import Tuning
 
+LEAST_EXTENSION_S = 0.04  # with a predicted onset: by so much a burst begins early, and ends sooner after contact
+
 
 class ChannelLimits(Settings):
     """What one channel may never exceed. Every entry is required: a missing limit means no stimulation."""
@@ -80,6 +82,11 @@ class Channel(Settings):
         if self.onset == "predicted":
             if self.start_phase != "pre_swing" or self.start_delay_s > 0.0:
                 raise ValueError('onset = "predicted" needs start_phase = "pre_swing" and start_delay_s = 0')
+            if self.extension_s < LEAST_EXTENSION_S:
+                raise ValueError(
+                    f'onset = "predicted" needs extension_s = {LEAST_EXTENSION_S:g} at least: a burst that begins '
+                    "early ends so much sooner after contact, and must not end before it"
+                )
             if self.tuning is not None and self.tuning.mode != "off":
                 raise ValueError('onset = "predicted" cannot be tuned: tuning learns when a burst is to begin itself')
         return self

@@ -246,7 +246,7 @@ def _foreseen(runner: Runner, channel: Channel, origin_ns: int) -> str:
     text = f" Its {onset.describe()}."
     if onset.expected_ns is not None:
         text += f" The heel was expected to rise {seconds(onset.expected_ns)}"
-        text += f"; the burst began early, {seconds(onset.began_ns)}" if onset.used else ""
+        text += f"; the burst was asked for early, {seconds(onset.began_ns)}" if onset.used else ""
         text += f"; it rose {seconds(onset.came_ns)}." if onset.came_ns is not None else "."
     return text
 

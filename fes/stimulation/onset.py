@@ -81,7 +81,7 @@ class OnsetPredictor:
             if self.used and self.began_ns is not None:
                 before, off = (t_ns - self.began_ns) / MS, abs(off_ns) / MS
                 came = f"T1 came {off:.0f} ms {'sooner' if off_ns > 0 else 'later'} than expected"
-                self.said.append(("info", EACH_ONSET, f"{came}, {before:.0f} ms after the burst began"))
+                self.said.append(("info", EACH_ONSET, f"{came}, {before:.0f} ms after the burst was asked for"))
         if permitted:
             for ahead_ns, passed_ns in zip(self._ahead_ns, self._passed_ns, strict=True):
                 ahead_ns.append(0 if passed_ns is None else t_ns - passed_ns)
@@ -128,8 +128,10 @@ class OnsetPredictor:
         self._false = True
         ms = f"{FALSE_NS // MS} ms"
         if self.used:
-            self.said.append(("warning", ONSET, f"a burst began early, but no heel rose within {ms}: stopped"))
-        self._begin_anew(f"no heel rose within {ms} of when a burst {'began' if self.used else 'would have begun'}")
+            self.said.append(("warning", ONSET, f"a burst was asked for early, but no heel rose within {ms}: stopped"))
+        self._begin_anew(
+            f"no heel rose within {ms} of when a burst {'was' if self.used else 'would have been'} asked for"
+        )
 
     def _begin_anew(self, why: str) -> None:
         self._off_ns.clear()

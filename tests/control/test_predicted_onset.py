@@ -88,7 +88,7 @@ def test_each_stride_has_what_was_expected_and_what_came(trials: Trials) -> None
         early = [b for b in bursts(record.commands, channel) if not np.any(rises_ns == b.t_on_ns)]
         own = [note for note in each if note.text.startswith(foot.replace("_", " "))]
         assert [note.t_ns for note in own] == [int(rises_ns[rises_ns > b.t_on_ns][0]) for b in early]
-        assert f"{(own[0].t_ns - early[0].t_on_ns) / MS:.0f} ms after the burst began" in own[0].text
+        assert f"{(own[0].t_ns - early[0].t_on_ns) / MS:.0f} ms after the burst was asked for" in own[0].text
     assert [note.text.split(": ")[1] for note in record.notes if note.source == ONSET] == ["onset is predicted"] * 2
 
 
@@ -122,7 +122,9 @@ def test_explain_says_what_was_expected_and_what_came(
     trials: Trials, capsys: pytest.CaptureFixture[str], after_s: float
 ) -> None:
     each = [note for note in trials.of("both_feet_200hz").notes if note.source == EACH_ONSET]
-    early = [note for note in each if note.text.startswith("right") and " 50 ms after the burst began" in note.text]
+    early = [
+        note for note in each if note.text.startswith("right") and " 50 ms after the burst was asked for" in note.text
+    ]
     rise_s = early[-1].t_ns / NS_PER_S
     log = trials.log("both_feet_200hz")
     with pytest.raises(SystemExit) as ended:
@@ -131,7 +133,7 @@ def test_explain_says_what_was_expected_and_what_came(
     text = json.loads(capsys.readouterr().out)["channels"][0]["why"]
     assert "Its onset is predicted: 20 of the last 20 heel rises came within 60 ms of when they were expected." in text
     assert "The heel was expected to rise at" in text
-    assert "; the burst began early, at" in text
+    assert "; the burst was asked for early, at" in text
     assert (f"; it rose at {rise_s:.3f} s." in text) is (after_s > 0.0)
 
 

@@ -150,7 +150,6 @@ CASES: list[Case] = [
     *edge(T3, "mid-swing of a dragged foot", "toe_up_peak_radps", TOE_UP, below(TOE_UP), **SHUFFLED),
     *edge(T3, "the same after a weak push-off", "toe_up_peak_radps", WEAK_TOE_UP, below(WEAK_TOE_UP), **SHUFFLED,
           **WEAK),
-    *edge(T3, "after mid-swing", "toe_down_radps", above(-P.rising_share * UP_RADPS), -P.rising_share * UP_RADPS),
     *beyond(T3, "landed", "toe_down_radps", LANDED, **SILENT),
     *beyond(T3, "landed after a weak push-off", "toe_down_radps", WEAK_LANDED, **SILENT, **WEAK),
     *beyond(T3, "coming down", "fallen_rad", P.turn_rad),
@@ -365,7 +364,7 @@ def _grid() -> list[tuple[Any, ...]]:
     for peak, up in itertools.product((below(LEAST_PEAK), LEAST_PEAK, RATE), (below(TOE_UP), UP_RADPS)):
         rates = (P.heel_rise_share * RATE, below(-TOE_UP), LANDED, below(P.settled_share * above(LANDED)), below(0.0))
         rows += itertools.product(
-            beside(*rates, (1.0 - P.push_off_drop) * peak, -P.rising_share * up),
+            beside(*rates, (1.0 - P.push_off_drop) * peak, -P.slowed_share * up),
             (peak,),
             (up,),
             beside(LANDED),

@@ -79,7 +79,7 @@ def test_values_limits_signs_and_reasons() -> None:
         Term("swing_at_reversal", True, "=", False, "", "yes or no", False),
     ]
     assert terms.why_not() == (
-        "travelling: no, must be yes, and none of these: |toe down| 0.25 ≤ 0.75 rad/s; −turned 0 ≤ 0.5 rad; "
+        "travelling: no, must be yes, and none of these holds: |toe down| 0.25 > 0.75 rad/s; −turned 0 > 0.5 rad; "
         "swing_at_reversal: yes, must be no"
     )
     assert not terms.holds

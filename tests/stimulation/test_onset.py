@@ -112,8 +112,8 @@ def test_what_was_expected_and_what_came_is_told_of_each_stride_in_use_and_of_no
     foot = walked([*STEADY, STANCE_MS + 20, STANCE_MS - 20])
     each = [text for _, source, text in foot.said if source == EACH_ONSET]
     assert len(each) == 2  # the strides before have only shown how well
-    assert "40 ms after the burst began" not in each[0]
-    assert "T1 came 20 ms sooner than expected, 20 ms after the burst began" in each[1]
+    assert "40 ms after the burst was asked for" not in each[0]
+    assert "T1 came 20 ms sooner than expected, 20 ms after the burst was asked for" in each[1]
     assert next(text for _, source, text in foot.said if source == ONSET).startswith("onset is predicted")
 
 
@@ -147,7 +147,7 @@ def test_after_one_false_start_it_must_prove_itself_anew(obeyed: bool) -> None:
         foot.step(stance_ms)
     false_start(foot)
     warned = [text for severity, _, text in foot.said if severity == "warning"]
-    assert warned == (["a burst began early, but no heel rose within 150 ms: stopped"] if obeyed else [])
+    assert warned == (["a burst was asked for early, but no heel rose within 150 ms: stopped"] if obeyed else [])
     assert not foot.onset.in_use
     assert "0 of 10 heel rises" in foot.onset.describe()
     foot.change(Transition.T1)  # at last, which says nothing of the prediction

@@ -174,7 +174,7 @@ STRIDES = st.lists(
 
 @pytest.mark.requirement("SR-26")
 @settings(max_examples=60, deadline=None)
-@given(STRIDES, st.sampled_from([0.0, 0.06, 0.3]), st.sampled_from([0.2, 0.7, 2.0]))
+@given(STRIDES, st.sampled_from([0.04, 0.06, 0.3]), st.sampled_from([0.2, 0.7, 2.0]))
 def test_whatever_the_foot_does_a_burst_that_began_early_is_bounded(
     strides: list[tuple[int, int, int, str]], extension_s: float, max_on_s: float
 ) -> None:
@@ -229,3 +229,12 @@ def test_a_plan_without_such_channels_begins_nothing_early() -> None:
     walk.current(walk.t_ms + REST_MS)
     assert not begin(walk)
     assert walk.requests() == (StimRequest(0, False),)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [({"extension_s": 0.0}, "0.04 at least"), ({"start_phase": "swing"}, "pre_swing"), ({"start_delay_s": 0.1}, "= 0")],
+)
+def test_what_a_predicted_onset_cannot_be_is_refused(what: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        early(**what)

@@ -308,7 +308,7 @@ def _find_walk(
     if astray := _other_way(rate_hz, gyr, spans, travel, left, ahead):
         raise CalibrationError(f"{sensor}: {astray} Walk straight ahead, forward, at least five strides.")
     walk = _joined(rate_hz, smooth, spans, travel, left, up)
-    if walk.axis_sd_rad > MOST_AXIS_SD_RAD:
+    if not walk.axis_sd_rad <= MOST_AXIS_SD_RAD:
         raise CalibrationError(
             f"{sensor}: the mediolateral axis is uncertain by ±{math.degrees(walk.axis_sd_rad):.0f}° "
             f"({math.degrees(MOST_AXIS_SD_RAD):.0f}° are allowed): the {len(spans)} strides are too few or too "
@@ -362,6 +362,8 @@ def _joined(
         if len(order) < MIN_STRIDES:  # the foot hardly turns across its way
             return _Walk(left, math.pi, 0.0, push_offs, mids, spans)
         order = order[np.append(np.diff(of[order]) > 0, True)]
+        if len(order) < MIN_STRIDES:
+            return _Walk(left, math.pi, 0.0, push_offs, mids, spans)
         mids, kept = mids[order], of[order]
         push_offs = peaks_before(toe_down, mids, round(FALL_S * rate_hz) | 1)
         vectors = _level(smooth[push_offs] - smooth[mids], up)

@@ -227,14 +227,13 @@ RISE_TO_PEAK = 0.35  # … heel rise's this …
 FLAT_BOUNDS_RADPS = (0.4, 2.5)  # … within these
 STILL_PER_FLOOR = 1.8  # the ankle is still below this multiple of what it shows in mid-stance …
 STILL_BOUNDS_MPS2 = (1.5, 8.0)  # … within these
+SLOWED_SHARE = 0.4  # a shank's contact comes before its lean has quite come to a stop
 SHARES = {  # where a shank is not as a foot: it leans on through contact and stance, and its pitch is no foot's
     "turn_rad": 0.07,
     "lifts_after": 0.25,
     "mid_swing_share": 0.55,
     "still_radps": 1.0,  # of its lean while the ankle stands
     "flat_rad": 0.07,
-    "swung_rad": 0.15,
-    "slowed_share": 0.4,  # a contact comes before its lean has quite come to a stop
     "settling_s": 0.0,
     "settled_share": 0.0,
     "settled_after_s": 0.03,
@@ -283,6 +282,7 @@ class ShankLevels:
             contact_jerk_mps3=self.contact_jolt_mps3,
             rest_share=self.rest_lean_radps / rate,
             heel_rise_share=self.heel_rise_radps / rate,
+            slowed_share=SLOWED_SHARE,
             **SHARES,
             swing_at_reversal=swing_at_reversal,
         )

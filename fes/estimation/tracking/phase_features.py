@@ -54,7 +54,7 @@ FIELDS: list[Any] = [
     ("velocity", np.float64, 3),  # dead-reckoned
     ("speed", np.float64),
     ("peak_speed", np.float64),
-    ("lowest_rad", np.float64),  # least and greatest pitch since swing began
+    ("lowest_rad", np.float64),  # least pitch since swing began, and greatest since that
     ("highest_rad", np.float64),
     ("calibrated", np.dtype(MEASURES)),
 ]
@@ -151,7 +151,8 @@ def _pitch(core: Record, toe_down: float, rate_radps: float, still_radps: float,
     state, thresholds = core.state, core.thresholds
     state.pitch_rad -= toe_down * dt_s
     state.turned_rad += toe_down * dt_s
-    state.lowest_rad = min(state.lowest_rad, state.pitch_rad)
+    if state.pitch_rad < state.lowest_rad:
+        state.lowest_rad = state.highest_rad = state.pitch_rad
     state.highest_rad = max(state.highest_rad, state.pitch_rad)
     if state.phase == 3:
         state.landing_peak = max(state.landing_peak, abs(toe_down))

@@ -65,12 +65,14 @@ const momentTeller = (data) => {
   };
   const cell = (shown) => (typeof shown === "boolean" ? yes(shown)
     : shown.toFixed(Math.abs(shown) >= 100 ? 0 : DIGITS));
-  const failed = (term) => (term.flag ? `${term.what}: ${yes(term.seen)}, must be ${yes(term.limit)}`
-    : `${term.what} ${short(term.seen)} ${OPPOSITE[term.sign]} ${short(term.limit)} ${term.unit}`.trim());
+  const failed = (term, sign) => (term.flag ? `${term.what}: ${yes(term.seen)}, must be ${yes(term.limit)}`
+    : `${term.what} ${short(term.seen)} ${sign} ${short(term.limit)} ${term.unit}`.trim());
+  const asked = (part) => (!part.parts ? failed(part, part.sign)
+    : part.parts.filter((each) => !each.holds).map(asked).join(part.every ? " and " : " or "));
   const whyNot = (terms) => {
+    if (!terms.every) return "none of these holds: " + terms.parts.map(asked).join("; ");
     const lacking = terms.parts.filter((part) => !part.holds);
-    const said = lacking.map((part) => (part.parts ? whyNot(part) : failed(part)));
-    return terms.every ? said.join(", and ") : "none of these: " + said.join("; ");
+    return lacking.map((part) => (part.parts ? whyNot(part) : failed(part, OPPOSITE[part.sign]))).join(", and ");
   };
 
   // Sentences and rows of one foot; nothing where its guards are not known then.
