@@ -277,7 +277,7 @@ def test_unknown_sets_and_missing_files():
 
 
 REAL = {
-    "gaitmap": ("gaitmap_walk/imu_sample.csv", "stride_length_m", 54, 0.02),
+    "gaitmap": ("gaitmap_walk/imu_sample.csv", "stride_length_m", 53, 0.02),
     "pyshoe": ("pyshoe_vicon/2017-11-22-11-38-45.mat", "stride_length_m", 20, 0.025),
 }
 
