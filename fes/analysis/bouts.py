@@ -33,7 +33,7 @@ LEAST_LENGTH_M, LONGEST_STRIDE_S = 0.15, 4.0
 MOST_RISE_M = 0.5  # of a stride: two steps of the steepest stairs
 TURN_RATE_RADPS, LEAST_TURN_RAD = math.radians(15.0), math.radians(30.0)
 AROUND_RADPS = math.radians(5.0)  # before and after: there one foot has turned and the other has not yet
-RESTING_SHARE = 0.5  # of each foot's strides; a pedal or a leg that swings never rests
+RESTING_SHARE = 0.5  # more than this of each foot's strides rest; a pedal or a leg that swings never rests
 LEAST_STAIRS_M, STAIRS_SLOPE, LEAST_SLOPE = 0.2, 0.2, 0.04
 STAIRS_STRIDES, SLOPE_STRIDES = 2, 4  # that a stretch has at least
 LEVEL, STAIRS_UP, STAIRS_DOWN, SLOPE_UP, SLOPE_DOWN = "level", "stairs_up", "stairs_down", "slope_up", "slope_down"
@@ -237,7 +237,7 @@ def _enough(strides: Sequence[Stride], feet: set[str]) -> bool:
     if len(feet) == 1:
         return sum(stride.rests for stride in strides) >= LEAST_OF_ONE_FOOT
     each = [[stride.rests for stride in strides if stride.foot == foot] for foot in feet]
-    return all(len(own) >= LEAST_OF_EACH_FOOT and sum(own) >= RESTING_SHARE * len(own) for own in each)
+    return all(len(own) >= LEAST_OF_EACH_FOOT and sum(own) > RESTING_SHARE * len(own) for own in each)
 
 
 def _alternating(strides: Sequence[Stride]) -> list[Stride]:
