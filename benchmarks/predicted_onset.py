@@ -226,7 +226,7 @@ def starts(track: Track, calibration: Calibration) -> dict[int, tuple[int, int]]
     """By lead (ms), how many bursts would begin early and how many of them would be false."""
     tracker = tracker_of(Session(name="onset"), calibration)
     walking = WalkingJudge(session(track.sensor, "detected").stimulation)
-    foreseen, own_ns = {lead: onset.OnsetPredictor() for lead in LEADS_MS}, onset.LEAD_NS
+    foreseen = {lead: onset.OnsetPredictor(lead * onset.MS) for lead in LEADS_MS}
     count: dict[int, list[int]] = {lead: [0, 0] for lead in LEADS_MS}
     t_ns, acc, gyr = newer_samples(track)
     for at_ns, force, rate in zip(t_ns.tolist(), acc.tolist(), gyr.tolist(), strict=True):
@@ -240,14 +240,11 @@ def starts(track: Track, calibration: Calibration) -> dict[int, tuple[int, int]]
         walking.on_time(at_ns)
         seen = towards_heel_rise(tracker) if any(each.watching for each in foreseen.values()) else None
         for lead, each in foreseen.items():
-            if seen is not None:
-                onset.LEAD_NS = lead * onset.MS  # type: ignore[misc]
-                if each.starts(at_ns, *seen):
-                    each.used = each.in_use and walking.walking
-                    count[lead][0] += each.used
+            if seen is not None and each.starts(at_ns, *seen):
+                each.used = each.in_use and walking.walking
+                count[lead][0] += each.used
             count[lead][1] += sum(severity == "warning" for severity, _, _ in each.said)
             each.said.clear()
-    onset.LEAD_NS = own_ns  # type: ignore[misc]
     return {lead: (counted[0], counted[1]) for lead, counted in count.items()}
 
 

@@ -32,6 +32,9 @@ ONSET, EACH_ONSET = "onset", "onsets"  # the sources of the notes: what changes,
 class OnsetPredictor:
     """Follows one foot.
 
+    Args:
+        lead_ns: a burst begins so long before the heel is expected to rise.
+
     Attributes:
         expected_ns: when the heel is expected to rise, or was in this stride; None while nothing is known.
         began_ns: when a burst was to begin for it; None where it was not.
@@ -42,7 +45,8 @@ class OnsetPredictor:
         said: severity, source and text of what is to be noted; who reads them takes them away.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lead_ns: int = LEAD_NS) -> None:
+        self._lead_ns = lead_ns
         self._ahead_ns: list[deque[int]] = [deque(maxlen=REMEMBERED) for _ in range(1 + 2 * len(SHARES))]
         self._usual_ns = [0.0] * len(self._ahead_ns)
         self._off_ns: deque[float] = deque(maxlen=JUDGED)
@@ -111,7 +115,7 @@ class OnsetPredictor:
             return False
         yet_ns = [usual_ns for usual_ns, passed in zip(self._usual_ns, self._passed_ns, strict=True) if passed is None]
         self.expected_ns = max(self._contact_ns + self._usual_ns[0], t_ns + max(yet_ns, default=0.0))
-        if t_ns < self.expected_ns - LEAD_NS:
+        if t_ns < self.expected_ns - self._lead_ns:
             return False
         self.began_ns = t_ns
         return True
