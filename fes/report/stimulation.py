@@ -286,10 +286,12 @@ def find_bursts(
             judged_ns[at] = min(start_ns[at] + asked_ns, end_ns[at])
     outside_s, early = np.full(first.size, np.nan), np.zeros(first.size, dtype=np.bool_)
     if timeline is not None and info.phases:
-        if info.foreseen:
-            may_ns = np.where(by_hand, judged_ns, np.minimum(start_ns + FALSE_NS, end_ns))
-            spent_s = timeline.time_in(info.phases, start_ns, may_ns)
-            early = ~by_hand & ((may_ns - start_ns) / NS_PER_S - spent_s > HARDLY_S)
+        if info.foreseen and timeline.start_ns.size:
+            # early is what begins in the phase before, until the foot leaves that one or the start proves false
+            at = np.maximum(np.searchsorted(timeline.start_ns, start_ns, side="right") - 1, 0)
+            may_ns = np.minimum(np.minimum(start_ns + FALSE_NS, end_ns), timeline.end_ns[at])
+            before = timeline.phase[at] == (int(info.phases[0]) - 1) % len(PHASE_ORDER)
+            early = ~by_hand & before & ((may_ns - start_ns) / NS_PER_S > HARDLY_S)
             judged_ns = np.where(early, may_ns, judged_ns)
         outside_s = (end_ns - judged_ns) / NS_PER_S - timeline.time_in(info.phases, judged_ns, end_ns)
         outside_s = np.maximum(outside_s, 0.0).round(9)

@@ -6,7 +6,8 @@ A sensor put on turned, an axis with the wrong sign, a foot that scrapes along t
 - the phases did not come as T1, T2, T3, T4;
 - the stride around it has no length that can be true (it leads backward, or its ends cannot both be at rest), or it
   carried the foot less far than any walker's usual stride;
-- from heel rise to heel rise it took a quarter more or less time than the last ones usually did: what walks is even.
+- from foot off to foot off it took a quarter more or less time than the last ones usually did: what walks is even.
+  (Foot off, because a heel may rise early, be put down and rise again within one stance.)
 
 | state | what comes | next state |
 |---|---|---|
@@ -48,9 +49,10 @@ class OrderJudge:
     def __init__(self, least_m: float = TRAVELS_M) -> None:
         self._travels_m = min(TRAVELS_M, least_m)
         self._faults: deque[str] = deque(maxlen=LAST)  # of each of the last swings, "" for none
-        self._cycles_ns: deque[int] = deque(maxlen=REMEMBERED)  # from heel rise to heel rise
+        self._cycles_ns: deque[int] = deque(maxlen=REMEMBERED)  # from foot off to foot off
         self._fired: list[Transition] = []  # since the heel rose; empty where that was not seen
-        self._risen_ns = 0
+        self._off_ns = 0  # of the newest swing; 0 before the first, after a gap, and with a heel put back between
+        self._cycle_ns = 0  # that ended with it, 0 where it is not known
         self._stride: StrideResult | None = None
         self.in_order = True
         self.reason = ""
@@ -62,28 +64,35 @@ class OrderJudge:
     def on_phase(self, change: PhaseChange) -> None:
         """Follow a phase change; a heel rise may end or restore order."""
         if change.transition is Transition.NONE:
-            self._fired = []
+            self._fired, self._off_ns = [], 0
         elif change.transition is Transition.T1:
             if Transition.T2 in self._fired and not (self._stride and self._stride.reason.startswith(MISSING)):
-                self._judge(change.t_ns - self._risen_ns)
-            self._fired, self._risen_ns, self._stride = [change.transition], change.t_ns, None
+                self._judge()
+            self._fired, self._stride = [change.transition], None
         elif self._fired:
             self._fired.append(change.transition)
+            if change.transition is Transition.T5:
+                self._off_ns = 0
+            elif change.transition is Transition.T2:
+                self._cycle_ns = change.t_ns - self._off_ns if self._off_ns else 0
+                self._off_ns = change.t_ns
 
-    def _judge(self, cycle_ns: int) -> None:
+    def _judge(self) -> None:
         """The swing that the heel rise now has ended; what its stride carried weighs most, for it tells what to do."""
-        stride, known = self._stride, len(self._cycles_ns) >= USUAL_FROM
-        usual_ns = sorted(self._cycles_ns)[len(self._cycles_ns) // 2] if known else cycle_ns
+        stride, cycle_ns, usual_ns = self._stride, self._cycle_ns, 0
+        if cycle_ns and len(self._cycles_ns) >= USUAL_FROM:
+            usual_ns = sorted(self._cycles_ns)[len(self._cycles_ns) // 2]
         fault = ""
         if stride is None or not stride.valid or stride.stride_length_m < self._travels_m:
             fault = NO_TRAVEL
         elif self._fired != CYCLE:
             fault = NO_CYCLE
-        elif cycle_ns > STOPPED * usual_ns:
+        elif usual_ns and cycle_ns > STOPPED * usual_ns:
             return
-        elif abs(cycle_ns - usual_ns) > UNEVEN * usual_ns:
+        elif usual_ns and abs(cycle_ns - usual_ns) > UNEVEN * usual_ns:
             fault = NO_RHYTHM
-        self._cycles_ns.append(cycle_ns)
+        if cycle_ns:
+            self._cycles_ns.append(cycle_ns)
         self._faults.append(fault)
         poor = Counter(filter(None, self._faults))
         if self.in_order and poor.total() >= POOR:

@@ -101,7 +101,7 @@ def test_cycles_that_differ_by_a_quarter_are_no_cycles() -> None:
         foot.go(cycle_s=cycle_s)
     foot.go()
     assert foot.order.in_order
-    for cycle_s in (1.6, 0.8, 1.6, 0.8):
+    for cycle_s in (1.6, 0.8, 1.6, 0.8, 1.2):
         foot.go(cycle_s=cycle_s)
     foot.go()
     assert foot.order.reason == "of its last 6 swings 4 came out of rhythm"

@@ -42,7 +42,7 @@ STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is s
 MARGIN_NS = NS_PER_S  # before a stride: more than half of any fine window
 USUAL_STRIDE_S = 1.2  # before one has been seen
 QUIET_LEANS = 1.5  # a stance is quiet when its rate is at most this many times the level of rest
-MOST_LEAN_CHANGE_RAD = math.radians(20)  # a leg that leans otherwise than before has been put elsewhere, not stepped
+MOST_LEAN_CHANGE_RAD = math.radians(30)  # leaning otherwise, a leg was put elsewhere; sound strides: up to 27°
 PUT_ELSEWHERE = "the shank leans {0:.0f}° otherwise than at its start: a leg moved, not a stride"
 
 
