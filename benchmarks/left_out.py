@@ -70,7 +70,7 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "slowed_share": (0.65, 0.7, 0.75, 0.8),
     "jerk_share": (0.15, 0.2, 0.3, 0.4),
     "rest_share": (0.12, 0.15, 0.18, 0.22),
-    "flat_rad": (0.02, 0.03, 0.045),
+    "flat_rad": (0.015, 0.02, 0.025, 0.03),
     "settled_share": (0.35, 0.45, 0.55),
     "longest_loadings": (1.5, 2.0, 3.0),
 }

@@ -126,12 +126,8 @@ class Thresholds(NamedTuple):
     hand."""
     shortest_loading_s: float = 0.03
     """T4: No foot is flat sooner after contact; the jolt of contact ends before. Origin: by hand."""
-    flat_rad: float = 0.03
-    """T4: A foot is flat while its pitch, `settling_s` counted, is within this angle, 1.7°, of this person's flat
-    one. Origin: data."""
-    settling_s: float = 0.02
-    """T4: A foot that still turns counts as further from flat by what it turns in this time at the rate it has.
-    Origin: by hand."""
+    flat_rad: float = 0.025
+    """T4: A foot is flat while its pitch is within this angle, 1.4°, of this person's flat one. Origin: data."""
     settled_share: float = 0.45
     """T4: A foot near flat has come down once its turn has died away to this share of its peak since contact.
     Origin: data."""
@@ -214,7 +210,7 @@ def t4(x: Features, p: Thresholds) -> bool:
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     jolt_over = x.since_contact_s > p.shortest_loading_s
-    flat = abs(x.pitch_rad) + p.settling_s * abs(x.toe_down_radps) < p.flat_rad
+    flat = abs(x.pitch_rad) < p.flat_rad
     settled = (
         (x.landing_peak_radps > p.rest_share * rate)
         & (abs(x.toe_down_radps) < p.settled_share * x.landing_peak_radps)

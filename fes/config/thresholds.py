@@ -18,7 +18,7 @@ GONE: Final = frozenset(  # in sessions and logs of former versions
     ("push_off_again", "longest_swing_stride_s", "struck_share", "struck_per_s", "shortest_loading", "flat_share",
      "longest_loading_stride_s", "longest_loading", "shortest_swing", "soft_contact", "put_back",
      "soft_contact_share", "still_share", "heel_rise_rad", "heel_rise_after", "toe_up_after", "carried_share",
-     "landed_share", "rising_share")
+     "landed_share", "rising_share", "settling_s")
 )  # fmt: skip
 LEAST, MOST = 0.25, 4.0  # times the default, or what holds anyway: further off no gait was seen
 _TABLE: Final = re.compile(r"^[ \t]*\[thresholds\][^\n]*\n(?:(?![ \t]*\[)[^\n]*(?:\n|\Z))*", re.MULTILINE)

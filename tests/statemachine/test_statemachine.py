@@ -118,7 +118,6 @@ TILTED: dict[str, Any] = {"pitch_rad": 1.0}
 PEAK = 2.0 * LANDED
 PLATEAU: dict[str, Any] = {"pitch_rad": 2.0 * P.flat_rad, "pitch_sd_rad": P.flat_rad, "landing_peak_radps": PEAK}
 OFF_RAD = P.near_sds * P.flat_rad
-TURNING = 0.5 * P.flat_rad / P.settling_s  # so fast that half the limit of the pitch is left
 
 CASES: list[Case] = [
     *((transition, "all of it", {}, True) for transition in GUARDS),
@@ -163,8 +162,6 @@ CASES: list[Case] = [
     *beyond(T4, "later than the jolt of contact", "since_contact_s", P.shortest_loading_s),
     *edge(T4, "flat from toe-up", "pitch_rad", below(P.flat_rad), P.flat_rad),
     *edge(T4, "flat from toe-down", "pitch_rad", above(-P.flat_rad), -P.flat_rad),
-    *edge(T4, "flat soon, toe-down", "pitch_rad", 0.49 * P.flat_rad, 0.51 * P.flat_rad, toe_down_radps=TURNING),
-    *edge(T4, "flat soon, toe-up", "pitch_rad", 0.49 * P.flat_rad, 0.51 * P.flat_rad, toe_down_radps=-TURNING),
     *beyond(T4, "turned when it landed", "landing_peak_radps", LANDED, **{**PLATEAU, "toe_down_radps": 0.0}),
     *beyond(T4, "the same after a weak push-off", "landing_peak_radps", WEAK_LANDED, **PLATEAU, **WEAK),
     *edge(T4, "hardly toe-down any more", "toe_down_radps", below(P.settled_share * PEAK), P.settled_share * PEAK,

@@ -234,7 +234,6 @@ SHARES = {  # where a shank is not as a foot: it leans on through contact and st
     "mid_swing_share": 0.55,
     "still_radps": 1.0,  # of its lean while the ankle stands
     "flat_rad": 0.07,
-    "settling_s": 0.0,
     "settled_share": 0.0,
     "settled_after_s": 0.03,
     "longest_loadings": 1.0,
