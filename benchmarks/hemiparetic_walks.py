@@ -144,12 +144,12 @@ def stroke_run(path: Path) -> tuple[list[FootResult], SideResult, GroundResult]:
         found.belt_ratio["own"] = sum(s.stride_length_m for s in late) / time_s / belt_mps
         rows = walk.parameters.strides[foot]
         found.swings["parameters"] = len(rows)
-        spans = np.array([(r.t_start_s, r.t_end_s) for r in rows]).reshape(-1, 2)
+        spans = np.column_stack((rows["t_start_s"], rows["t_end_s"]))
         found.wrong["parameters"] = wrong(peaks_s, spans, ends_s)
         begin_s = track.t_ns[-1] / NS_PER_S - LAST_S
-        kept = [r for r in rows if r.t_start_s >= begin_s and math.isfinite(r.values["stride_time_s"])]
-        time_s = sum(r.values["stride_time_s"] for r in kept)
-        found.belt_ratio["parameters"] = sum(r.values["stride_length_common_m"] for r in kept) / time_s / belt_mps
+        kept = rows[(rows["t_start_s"] >= begin_s) & np.isfinite(rows["stride_time_s"])]
+        way_m, time_s = kept["stride_length_common_m"].sum(), kept["stride_time_s"].sum()
+        found.belt_ratio["parameters"] = float(way_m / time_s / belt_mps)
         out.append(found)
     return out, told_side(path.stem, walk, ""), ground(path.stem, walk, "level")
 

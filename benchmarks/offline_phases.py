@@ -90,7 +90,7 @@ def measured(data: Path) -> Later:
 
 def against_truth(result: Analysis, foot: str, true_s: Iterable[dict[str, float]]) -> list[str]:
     """Off-line and live of each of T1 to T4, of the strides that hold a true foot off."""
-    rows, cells = [row for row in result.stride_rows() if row["foot"] == foot], []
+    rows, cells = [row for row in result.stride_table() if row["foot"] == foot], []
     held = [(row, true) for true in true_s for row in rows if row["t_start_s"] < true["t_swing_s"] < row["t_end_s"]]
     for name in ENTRIES:
         for kind in ("s", "live_s"):

@@ -32,12 +32,12 @@ from event_cases import data_folder, gaitmap_cases
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from fes.analysis.parameters.contacts import Motion, variation
+from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.gait import gait_parameters
-from fes.analysis.parameters.strides import StrideParameters
+from fes.analysis.parameters.motion import motions, pitches, variations
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
-from fes.estimation.clearance.clearance import TOE, FootArms, FootPath, arms_of, clearances
+from fes.estimation.clearance.clearance import TOE, FootArms, FootPath, arms_of, clearances, join_paths
 from fes.recording import Recording, read_recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
 from fes.simulation.forward import VirtualPatient, settings_for
@@ -103,16 +103,17 @@ def cases(*, fast: bool = False, seed: int = 0) -> Iterator[Case]:
         yield Case(name, read_recording(path), load_truth(path))
 
 
-def true_motion(foot: FootTruth, stride: TruthStride | StrideParameters) -> Motion:
-    """What was true between its ends: sensor's way, and the foot's axes, level and straight ahead at the start."""
-    first, last = np.searchsorted(foot.t_ns, [1e9 * stride.t_start_s, 1e9 * stride.t_end_s]).tolist()
+def true_path(foot: FootTruth, stride: TruthStride, begin_s: float, end_s: float) -> FootPath:
+    """What was true between these times: sensor's way, and the foot's axes, level and straight ahead at the start."""
+    first, last = np.searchsorted(foot.t_ns, [1e9 * begin_s, 1e9 * end_s]).tolist()
     rows = slice(first, min(last, len(foot.t_ns) - 1) + 1)
     ahead = (foot.toe_m - foot.heel_m)[first] * np.array([1.0, 1.0, 0.0])
     ahead /= np.linalg.norm(ahead)
     start = np.column_stack([ahead, np.cross([0.0, 0.0, 1.0], ahead), [0.0, 0.0, 1.0]])
     turned = Rotation.from_quat(foot.q_world_from_sensor[rows], scalar_first=True)
     axes = (turned * turned[0].inv()).as_matrix() @ start
-    return Motion(foot.t_ns[rows], foot.sensor_m[rows] - foot.sensor_m[first], axes)
+    swing_ns = (round(1e9 * stride.t_swing_s), round(1e9 * stride.t_loading_response_s))
+    return FootPath(stride.number, foot.t_ns[rows], foot.sensor_m[rows] - foot.sensor_m[first], axes, *swing_ns)
 
 
 def compare(case: Case) -> tuple[list[Errors], Analysis]:
@@ -132,8 +133,8 @@ def compare(case: Case) -> tuple[list[Errors], Analysis]:
         for k, true in enumerate(truth):
             if not (true.steady and true.walking):
                 continue
-            own = [s for s in strides if s.t_start_s < true.t_swing_s < s.t_end_s]
-            if own and own[0].t_start_s >= begin_s and own[0].t_end_s <= end_s:
+            own = [s for s in strides if s["t_start_s"] < true.t_swing_s < s["t_end_s"]]
+            if own and own[0]["t_start_s"] >= begin_s and own[0]["t_end_s"] <= end_s:
                 before = truth[k - 1] if k and truth[k - 1].walking else None
                 rows.append(_differences(own[0], true, before, case, foot, arms))
         errors.n = len(rows)
@@ -155,26 +156,18 @@ def markers(folder: Path) -> list[tuple[str, str, float, float, int]]:
     for foot, case in tracks.items():
         events, rows = result.events[foot], parameters.strides[foot]
         for what, true, plain, ours in (
-            ("IC", case.ic_s, events.ic_ns / NS_PER_S, [row.t_contact_s for row in rows]),
-            ("FO", case.fo_s, events.fo_ns / NS_PER_S, [row.t_foot_off_s for row in rows]),
+            ("IC", case.ic_s, events.ic_ns / NS_PER_S, rows["t_contact_s"]),
+            ("FO", case.fo_s, events.fo_ns / NS_PER_S, rows["t_foot_off_s"]),
         ):
-            for by, told in (("off-line events", plain), ("parameters", np.array(ours))):
+            for by, told in (("off-line events", plain), ("parameters", ours)):
                 told = told[np.isfinite(told)]
                 apart = [float(told[np.argmin(np.abs(told - at))] - at) for at in true]
                 times.setdefault((what, by), []).extend(1e3 * a for a in apart if abs(a) < NEAR_S)
     return [(what, by, *_spread(values), len(values)) for (what, by), values in times.items()]
 
 
-def _mtc(motion: Motion, true: TruthStride, arms: FootArms) -> float:
-    path = FootPath(
-        0, motion.t_ns, motion.position_m, motion.axes, round(1e9 * true.t_swing_s),
-        round(1e9 * true.t_loading_response_s),
-    )  # fmt: skip
-    return float(clearances([path], arms, None)[0, TOE])
-
-
 def _differences(
-    own: StrideParameters,
+    v: dict[str, float],
     true: TruthStride,
     before: TruthStride | None,
     case: Case,
@@ -182,21 +175,26 @@ def _differences(
     arms: FootArms,
 ) -> dict[str, float]:
     feet = case.truth.feet[foot]
-    motion = true_motion(feet, own)
-    pv, ov = variation(true_motion(feet, before), true_motion(feet, true)) if before is not None else (math.nan,) * 2
-    pitch, t = motion.pitch_rad(), 1e-9 * motion.t_ns
-    v = own.values
+    path = true_path(feet, true, v["t_start_s"], v["t_end_s"])
+    paths, unseen = join_paths([path]), no_swings(1)
+    pitch, t = pitches(paths), 1e-9 * path.t_ns
+    side = foot.removesuffix("_foot")
+    mdd, circumduction, mlr = motions(paths, pitch, unseen.foot_off_ns, unseen.contact_ns, side)[0, :3].tolist()
+    pv = ov = math.nan
+    if before is not None:
+        both = join_paths([true_path(feet, each, each.t_start_s, each.t_end_s) for each in (before, true)])
+        pv, ov = variations(both, np.array([[0, 1]]))[0].tolist()
     stance = true.t_swing_s - before.t_loading_response_s if before is not None else math.nan
     return {
         "stride_length_percent": 100.0 * (v["stride_length_common_m"] / true.stride_length_m - 1.0),
         "swing_ms": 1e3 * (v["swing_s"] - (true.t_loading_response_s - true.t_swing_s)),
         "stance_ms": 1e3 * (v["stance_s"] - stance),
-        "clearance_cm": 100.0 * (v["lift_m"] - float((motion.position_m[:, 2] - motion.position_m[0, 2]).max())),
-        "mlr_deg": math.degrees(v["heel_rotation_rad"] - motion.heel_rotation_rad()),
-        "toe_cm": 100.0 * (v["toe_clearance_m"] - _mtc(motion, true, arms)),
+        "clearance_cm": 100.0 * (v["lift_m"] - float((path.position_m[:, 2] - path.position_m[0, 2]).max())),
+        "mlr_deg": math.degrees(v["heel_rotation_rad"] - mlr),
+        "toe_cm": 100.0 * (v["toe_clearance_m"] - float(clearances([path], arms, None)[0, TOE])),
         "toe_model_cm": 100.0 * (v["toe_clearance_m"] - true.toe_clearance_m),
-        "mdd_cm": 100.0 * (v["deviation_m"] - motion.deviation_m()),
-        "circumduction_cm": 100.0 * (v["circumduction_m"] - motion.circumduction_m(own.side)),
+        "mdd_cm": 100.0 * (v["deviation_m"] - mdd),
+        "circumduction_cm": 100.0 * (v["circumduction_m"] - circumduction),
         "angle_ic_deg": math.degrees(v["angle_contact_rad"] - np.interp(true.t_loading_response_s, t, pitch)),
         "angle_fo_deg": math.degrees(v["angle_off_rad"] - np.interp(true.t_swing_s, t, pitch)),
         "pv_cm": 100.0 * (v["position_variation_m"] - pv),

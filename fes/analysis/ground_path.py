@@ -7,7 +7,6 @@ the path is that over the belt.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -61,18 +60,14 @@ class GroundPath:
         places[unseen] = math.nan
         return places
 
-    def rows(self, rate_hz: float = 10.0, origin_ns: int | None = None) -> list[dict[str, Any]]:
-        """One flat row per instant, units in the names; instants count from the path's beginning, or the origin."""
+    def at_rate(self, rate_hz: float = 10.0, origin_ns: int | None = None) -> tuple[IntArray, FloatArray]:
+        """M instants, whole periods after the origin (None: the path's beginning), ns, and their :meth:`places_at`."""
         origin = int(self.t_ns[0]) if origin_ns is None else origin_ns
         spans_s = (np.clip(self.seen_ns, self.t_ns[0], self.t_ns[-1]) - origin) * 1e-9
         bounds = [(math.ceil(begin * rate_hz), math.floor((end + 1e-9) * rate_hz)) for begin, end in spans_s.tolist()]
         numbers = np.unique(np.concatenate([np.arange(first, last + 1) for first, last in bounds]))
-        instants = origin + np.round(numbers * (1.0 / rate_hz) * 1e9).astype(np.int64)
-        names = ("x_m", "y_m", "z_m", "heading_rad")
-        return [
-            {"foot": self.foot, "t_s": 1e-9 * t, **dict(zip(names, row, strict=True))}
-            for t, row in zip(instants.tolist(), self.places_at(instants).tolist(), strict=True)
-        ]
+        t_ns = origin + np.round(numbers * (1.0 / rate_hz) * 1e9).astype(np.int64)
+        return t_ns, self.places_at(t_ns)
 
 
 def ground_path(

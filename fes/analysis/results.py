@@ -1,22 +1,19 @@
 """What an analysis found: phase changes, strides, events, paths and where toe and heel are, also as tables."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import repeat
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fes import __version__
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.methods import CAUSAL_EVENT_COLUMNS, causal_event_rows
-from fes.analysis.tables import Table
+from fes.analysis.tables import Table, join_tables
 from fes.analysis.toe_and_heel import ToeAndHeel
 from fes.config import Ground
-from fes.estimation.clearance.clearance import FootPath
 from fes.estimation.events.causal import Decision, Rule
 from fes.estimation.events.offline import GaitEvents, foot_strike_angles
 from fes.estimation.foot.block_results import TrackedBlock
@@ -29,9 +26,9 @@ from fes.estimation.tracking.tracker import Outcome, SampleCounts
 from fes.recording import Recording
 from fes.recording.chunks import Chunk
 from fes.recording.tracks import newer_samples
-from fes.signals import NS_PER_S, IntArray, StrideResult
+from fes.signals import FloatArray, IntArray, StrideResult
 from fes.walk_record import Note, SampleArrays, WalkRecord
-from statemachine.phases import PhaseChange, Transition
+from statemachine.phases import Phase, PhaseChange, Transition
 
 _ENTRIES = {
     "t_pre_swing_ns": Transition.T1,
@@ -65,9 +62,22 @@ EVENT_COLUMNS = (
 )
 PATH_COLUMNS = (
     _FOOT,
-    Column("t_s", float, "s", "counted from the path's beginning"),
+    Column("t_s", float, "s", "tenths of a second after the path's beginning, on the sensor's clock"),
     *(next(column for column in schema.TABLE if column.name == name) for name in _PLACE),
 )
+_PHASES = np.array([phase.name.lower() for phase in Phase], object)
+_TRANSITIONS = np.array([transition.name for transition in Transition], object)
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+class Changes(NamedTuple):
+    """C phase changes: (C,) of sensors' names, times, and the numbers of ``Transition`` and of the ``Phase`` s."""
+
+    foot: np.ndarray[Any, np.dtype[np.object_]]
+    t_ns: IntArray
+    transition: IntArray
+    source: IntArray
+    destination: IntArray
 
 
 @dataclass(frozen=True)
@@ -126,66 +136,75 @@ class Analysis:
         """Whether it lies within one of the ``walking_ns``, where these are known."""
         if self.walking_ns is None:
             return True
-        if begin_ns is None or end_ns is None:
-            return False
-        part = int(np.searchsorted(self.walking_ns[:, 0], begin_ns, side="right")) - 1
-        return part >= 0 and end_ns <= int(self.walking_ns[part, 1])
+        ends = ([UNSEEN_NS if t_ns is None else t_ns] for t_ns in (begin_ns, end_ns))
+        return bool(self._all_walked(*(np.array(t_ns, np.int64) for t_ns in ends))[0])
 
-    @cached_property
-    def stride_paths(self) -> dict[str, list[FootPath]]:
-        """Of each foot's valid strides, the trajectory at their own samples."""
-        return {foot: block.paths().each() for foot, block in self.blocks.items()}
+    def _all_walked(self, begin_ns: IntArray, end_ns: IntArray) -> Flags:
+        """The same of (M,) times."""
+        if self.walking_ns is None:
+            return np.ones(len(begin_ns), np.bool_)
+        part = np.searchsorted(self.walking_ns[:, 0], begin_ns, side="right")
+        until_ns = np.concatenate(([UNSEEN_NS], self.walking_ns[:, 1]))[part]
+        return np.asarray((end_ns <= until_ns) & (end_ns != UNSEEN_NS))
 
     def tables(self) -> dict[str, Table]:
         """Strides, phase changes, events and paths, each as a table with units; times and places in SI."""
-        found: dict[str, tuple[Sequence[Column], list[dict[str, Any]]]] = {
-            "strides": (schema.TABLE, self.stride_rows()),
-            "phases": (PHASE_COLUMNS, self.phase_rows()),
-            "events": (EVENT_COLUMNS, self.event_rows()),
-            "path": (PATH_COLUMNS, self.path_rows()),
+        found = {
+            "strides": self.stride_table(),
+            "phases": self.phase_table(),
+            "events": self.event_table(),
+            "path": self.path_table(),
         }
-        if self.causal_events:
-            found["events_causal"] = CAUSAL_EVENT_COLUMNS, self.causal_event_rows()
-        return {name: Table.from_rows(*table) for name, table in found.items()}
+        return found | ({"events_causal": self.causal_event_table()} if self.causal_events else {})
 
-    def stride_rows(self) -> list[dict[str, Any]]:
-        """One flat row per stride with the columns of ``fes.estimation.strides.schema.TABLE``.
+    def stride_table(self) -> Table:
+        """A row a stride with the columns of ``fes.estimation.strides.schema.TABLE``.
 
         The phases' entries are those found off-line, NaN where there are none. ``x_m``, ``y_m``, ``z_m`` and
         ``heading_rad`` are where the stride ends on the foot's path, NaN without a path.
         """
-        places = {}
+        found = schema.table_columns(self.strides)
+        for k, name in enumerate(_ENTRIES):
+            entry = name.removesuffix("_ns")
+            found[f"{entry}_live_s"], found[f"{entry}_s"] = found[f"{entry}_s"], _seconds(self.offline_entries[:, k])
+        places = np.full((len(self.strides), len(_PLACE)), math.nan)
+        ends_ns = np.array([stride.t_end_ns for stride in self.strides], np.int64)
         for foot, path in self.paths.items():
-            ends_ns = np.array([stride.t_end_ns for stride in self.strides if stride.foot == foot], np.int64)
-            places[foot] = iter(path.places_at(ends_ns).tolist())
-        unknown = repeat((math.nan,) * len(_PLACE))
-        rows = []
-        for stride, found in zip(self.strides, self.offline_entries, strict=True):
-            row = dict(zip(_PLACE, next(places.get(stride.foot, unknown)), strict=True))
-            for name in _ENTRIES:
-                entry = name.removesuffix("_ns")
-                row[f"{entry}_s"], row[f"{entry}_live_s"] = _seconds(found.get(name)), _seconds(getattr(stride, name))
-            row = schema.table_row(stride) | row
-            rows.append({column.name: row[column.name] for column in schema.TABLE})
-        return rows
+            own = np.array([stride.foot == foot for stride in self.strides], np.bool_)
+            places[own] = path.places_at(ends_ns[own])
+        return Table(schema.TABLE, found | dict(zip(_PLACE, places.T, strict=True)))
 
-    def phase_rows(self) -> list[dict[str, Any]]:
-        """One flat row per phase change, by the live instants; T2 is foot off (FO), T3 initial contact (IC)."""
-        found = {
-            (foot, transition, live_ns): at_ns
-            for foot, live in self._live_ns.items()
-            for transition, times_ns in live.items()
-            for live_ns, at_ns in zip(times_ns.tolist(), self._offline_ns(foot)[transition].tolist(), strict=True)
+    def phase_table(self) -> Table:
+        """A row a phase change, by the live instants; T2 is foot off (FO), T3 initial contact (IC)."""
+        found, t_ns = self._changes, np.full(len(self._changes.t_ns), UNSEEN_NS, np.int64)
+        for foot, live in self._live.items():
+            offline_ns = self._offline_ns(foot)
+            for transition, at in live.items():
+                seen = at >= 0
+                t_ns[at[seen]] = offline_ns[transition][seen]
+        columns = {
+            "foot": found.foot,
+            "t_s": _seconds(t_ns),
+            "t_live_s": _seconds(found.t_ns),
+            "transition": _TRANSITIONS[found.transition],
+            "from": _PHASES[found.source],
+            "to": _PHASES[found.destination],
         }
-        rows = []
-        for change in self.phases:
-            row = phase_row(change)
-            both = {
-                "t_s": _seconds(found.get((change.foot, change.transition, change.t_ns))),
-                "t_live_s": row.pop("t_s"),
-            }
-            rows.append({"foot": row.pop("foot"), **both, **row})
-        return rows
+        return Table(PHASE_COLUMNS, columns)
+
+    @cached_property
+    def _changes(self) -> Changes:
+        """All feet's phase changes by time, as :attr:`phases`, without an object for each."""
+        found = [(foot, *block.change_columns()) for foot, block in self.blocks.items()]
+        for foot, own in self.outcomes.items():
+            rows = [(c.t_ns, c.transition, c.source, c.destination) for c in own if isinstance(c, PhaseChange)]
+            found.append((foot, *np.array(rows, np.int64).reshape(-1, 4).T))
+        feet = [np.full(len(t_ns), foot, object) for foot, t_ns, *_ in found]
+        none = np.zeros((0, 4), np.int64)
+        columns = np.concatenate([none, *(np.column_stack(own) for _, *own in found)]).T
+        order = np.argsort(columns[0], kind="stable")
+        order = order[self._all_walked(columns[0][order], columns[0][order])]
+        return Changes(np.concatenate([np.zeros(0, object), *feet])[order], *(column[order] for column in columns))
 
     def _offline_ns(self, foot: str) -> dict[Transition, IntArray]:
         """Of every swing of a foot (K,) when its T1 to T4 were by the events; ``UNSEEN_NS`` where they do not say."""
@@ -195,78 +214,72 @@ class Analysis:
         return dict(zip(_ENTRIES.values(), (rise_ns, events.fo_ns, events.ic_ns, flat_ns), strict=True))
 
     @cached_property
-    def _live_ns(self) -> dict[str, dict[Transition, IntArray]]:
-        """By foot, of every swing (K,) when the live machine's T1 to T4 were; ``UNSEEN_NS`` where it did not see them.
+    def _live(self) -> dict[str, dict[Transition, IntArray]]:
+        """By foot, of every swing (K,) which of the ``_changes`` was the live machine's T1 to T4; -1 where it saw none.
 
         Of several between two mid-swings, as where a heel was put back, those next to the swing.
         """
-        found = {}
+        found, changes = dict[str, dict[Transition, IntArray]](), self._changes
         for foot, events in self.events.items():
-            own = [change for change in self.phases if change.foot == foot]
-            found[foot] = {which: np.full(len(events), UNSEEN_NS, np.int64) for which in _ENTRIES.values()}
-            for which, at_ns in found[foot].items():
-                fired = np.array([change.t_ns for change in own if change.transition is which], np.int64)
-                swing = np.searchsorted(events.mid_swing_ns, fired)
+            mine = changes.foot == foot
+            found[foot] = {which: np.full(len(events), -1, np.int64) for which in _ENTRIES.values()}
+            for which, at in found[foot].items():
+                fired = np.flatnonzero(mine & (changes.transition == which))
+                swing = np.searchsorted(events.mid_swing_ns, changes.t_ns[fired])
                 if which in (Transition.T3, Transition.T4):
                     swing, fired = swing[::-1] - 1, fired[::-1]
                 of_one = (swing >= 0) & (swing < len(events))
-                at_ns[swing[of_one]] = fired[of_one]
+                at[swing[of_one]] = fired[of_one]
         return found
 
     @cached_property
-    def offline_entries(self) -> list[dict[str, Any]]:
-        """Of each of the ``strides`` when its phases began by the off-line events (``t_swing_ns`` …), as far as known.
+    def offline_entries(self) -> IntArray:
+        """When the phases of each of the ``strides`` began by the off-line events (S, 4), ``UNSEEN_NS`` if not known.
 
         A stride with no swing that the events tell, or with two, has none; nor has a shank's.
         """
-        every: list[dict[str, Any]] = [{} for _ in self.strides]
+        found = np.full((len(self.strides), len(_ENTRIES)), UNSEEN_NS, np.int64)
         for foot, events in self.events.items():
-            own = [k for k, stride in enumerate(self.strides) if stride.foot == foot]
+            own = np.flatnonzero([stride.foot == foot for stride in self.strides])
             ends = np.array([(self.strides[k].t_start_ns, self.strides[k].t_end_ns) for k in own], np.int64)
-            swings = np.searchsorted(events.mid_swing_ns, ends.reshape(-1, 2))
-            times = np.column_stack(list(self._offline_ns(foot).values())).tolist()
-            for k, (first, last) in zip(own, swings.tolist(), strict=True):
-                if last - first == 1:
-                    entries = zip(_ENTRIES, times[first], strict=True)
-                    every[k] = {name: at_ns for name, at_ns in entries if at_ns != UNSEEN_NS}
-        return every
+            first, last = np.searchsorted(events.mid_swing_ns, ends.reshape(-1, 2)).T
+            one = last - first == 1
+            found[own[one]] = np.column_stack(list(self._offline_ns(foot).values()))[first[one]]
+        return found
 
-    def event_rows(self) -> list[dict[str, Any]]:
-        """One flat row per swing, from foot off (FO) to initial contact (IC); found off-line, not causally."""
-        rows = []
+    def event_table(self) -> Table:
+        """A row a swing, from foot off (FO) to initial contact (IC); found off-line, not causally."""
+        parts = [Table.from_rows(EVENT_COLUMNS, [])]
         for foot, events in self.events.items():
             calibration = self.calibrations[foot]
             assert isinstance(calibration, FootCalibration)
             t_ns, _, gyr = newer_samples(self.recording.tracks[foot])
-            angles = foot_strike_angles(t_ns, gyr, events, calibration)
-            own = np.array([self._walked(t_ns, t_ns) for t_ns in events.mid_swing_ns.tolist()], np.bool_)
+            own = self._all_walked(events.mid_swing_ns, events.mid_swing_ns)
             own &= True if self.chunk is None else self.chunk.owns(events.mid_swing_ns)
-            live = (self._live_ns[foot][which] for which in (Transition.T2, Transition.T3))
-            times = (events.fo_ns, events.mid_swing_ns, events.ic_ns, *live)
-            seconds = (np.where(t[own] == UNSEEN_NS, math.nan, 1e-9 * t[own]) for t in times)
-            names = [column.name for column in EVENT_COLUMNS[1:]]
-            columns = [column.tolist() for column in (*seconds, angles[own])]
-            rows += [{"foot": foot, **dict(zip(names, row, strict=True))} for row in zip(*columns, strict=True)]
-        return sorted(rows, key=lambda row: row["t_foot_off_s"])
+            fired_ns = np.append(self._changes.t_ns, UNSEEN_NS)
+            live = (fired_ns[self._live[foot][which]] for which in (Transition.T2, Transition.T3))
+            times = (_seconds(each) for each in (events.fo_ns, events.mid_swing_ns, events.ic_ns, *live))
+            columns = (np.full(len(events), foot, object), *times, foot_strike_angles(t_ns, gyr, events, calibration))
+            names = (column.name for column in EVENT_COLUMNS)
+            parts.append(Table(EVENT_COLUMNS, dict(zip(names, columns, strict=True)))[own])
+        return join_tables(parts).sorted_by("t_foot_off_s")
 
-    def causal_event_rows(self) -> list[dict[str, Any]]:
-        """One flat row per IC and FO as they would be known on-line; none unless the analysis was asked for them."""
+    def causal_event_table(self) -> Table:
+        """A row an IC and FO as they would be known on-line; none unless the analysis was asked for them."""
         found = self.causal_events.items()
         rows = [row for foot, decisions in found for row in causal_event_rows(foot, decisions, self.events[foot])]
-        return sorted(rows, key=lambda row: row["t_known_s"])
+        return Table.from_rows(CAUSAL_EVENT_COLUMNS, sorted(rows, key=lambda row: row["t_known_s"]))
 
-    def path_rows(self) -> list[dict[str, Any]]:
-        """One flat row per foot and tenth of a second: place (m) and heading (rad) on its path."""
-        return [
-            row
-            for foot, path in self.paths.items()
-            for row in self._own_part(path).rows(origin_ns=self.path_begins_ns.get(foot))
-            if self.walking_ns is None or self._on_path(foot, row["t_s"])
-        ]
-
-    def _on_path(self, foot: str, t_s: float) -> bool:
-        t_ns = self.path_begins_ns.get(foot, int(self.paths[foot].t_ns[0])) + round(t_s * NS_PER_S)
-        return self._walked(t_ns, t_ns)
+    def path_table(self) -> Table:
+        """A row a foot and tenth of a second: place (m) and heading (rad) on its path."""
+        parts = [Table.from_rows(PATH_COLUMNS, [])]
+        for foot, path in self.paths.items():
+            t_ns, places = self._own_part(path).at_rate(origin_ns=self.path_begins_ns.get(foot))
+            walked = self._all_walked(t_ns, t_ns)
+            columns = (np.full(len(t_ns), foot, object), 1e-9 * t_ns, *places.T)
+            names = (column.name for column in PATH_COLUMNS)
+            parts.append(Table(PATH_COLUMNS, dict(zip(names, columns, strict=True)))[walked])
+        return join_tables(parts)
 
     def _own_part(self, path: GroundPath) -> GroundPath:
         """The part of a path that is this chunk's own."""
@@ -300,17 +313,17 @@ class Analysis:
         moved: dict[tuple[str, int], int] = {}
         strides = list(self.strides)
         fired = {foot: np.array([c.t_ns for c in self.phases if c.foot == foot], np.int64) for foot in self.events}
-        for k, (stride, entries) in enumerate(zip(self.strides, self.offline_entries, strict=True)):
+        for k, (stride, to) in enumerate(zip(self.strides, self.offline_entries.tolist(), strict=True)):
             seen = [getattr(stride, name) for name in _ENTRIES]
-            if None in seen or len(entries) < len(seen):
+            if None in seen or UNSEEN_NS in to:
                 continue
-            own, to = fired[stride.foot], list(entries.values())
+            own = fired[stride.foot]
             low, high = np.searchsorted(own, seen[0]), np.searchsorted(own, seen[-1], side="right")
             before = own[low - 1] if low else stride.t_start_ns
             after = own[high] if high < len(own) else stride.t_end_ns
             if before < to[0] < to[1] < to[2] < to[3] < after:
                 moved |= {(stride.foot, was): t_ns for was, t_ns in zip(seen, to, strict=True)}
-                strides[k] = replace(stride, **entries)
+                strides[k] = replace(stride, **dict(zip(_ENTRIES, to, strict=True)))
         phases = [replace(change, t_ns=moved.get((change.foot, change.t_ns), change.t_ns)) for change in self.phases]
         return sorted(phases, key=attrgetter("t_ns")), strides
 
@@ -349,8 +362,9 @@ class Analysis:
         return WalkRecord(header, samples=samples, **found, complete=True, own_ns=part, live=live)
 
 
-def _seconds(t_ns: int | None) -> float:
-    return math.nan if t_ns is None or t_ns == UNSEEN_NS else 1e-9 * t_ns
+def _seconds(t_ns: IntArray) -> FloatArray:
+    """Times (M,), NaN where there are none."""
+    return np.where(t_ns == UNSEEN_NS, math.nan, 1e-9 * t_ns)
 
 
 def phase_row(change: PhaseChange) -> dict[str, Any]:

@@ -67,8 +67,8 @@ class Table:
         lists = (self._values[name].tolist() for name in self.names)
         return (dict(zip(self.names, row, strict=True)) for row in zip(*lists, strict=True))
 
-    def __getitem__(self, key: str | int | slice) -> Any:
-        """A column by its name, a row by its number, a smaller table by a slice.
+    def __getitem__(self, key: str | int | slice | npt.NDArray[Any]) -> Any:
+        """A column by its name, a row by its number, another table by a slice or an array of numbers or of bools.
 
         Raises:
             KeyError: no column of that name.
@@ -78,11 +78,16 @@ class Table:
             if key not in self._values:
                 raise KeyError(f"no column {key!r}; there are {', '.join(self.names)}")
             return self._values[key]
-        if isinstance(key, slice):
+        if isinstance(key, slice | np.ndarray):
             return type(self)(self.columns, {name: values[key] for name, values in self._values.items()})
         if not -len(self) <= key < len(self):
             raise IndexError(f"no row {key}; there are {len(self)}")
         return next(iter(self[key : key + 1 or None]))
+
+    def sorted_by(self, name: str) -> Table:
+        """The rows by a column, those of one value in the order in which they are."""
+        rows: Table = self[np.argsort(self[name], kind="stable")]
+        return rows
 
     def rows(self) -> list[dict[str, Any]]:
         """All rows as mappings."""

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from fes.analysis.hemiparetic.walk import HemipareticWalk
     from fes.analysis.parameters.gait import ChunkedGait, GaitParameters
+    from fes.analysis.tables import Table
     from fes.estimation.sensor_choice import Calibration
     from fes.recording import Recording
 
@@ -41,12 +42,12 @@ FORMATS = ("csv", "parquet", "json")
 DETECTORS = ("shoe", "mv", "mag", "are", "gyr")
 STRIDE_METHODS = ("maximum_likelihood", "constrained")
 FILTERS = ("smoothed", "per-sample")
-TABLES: Final[Mapping[str, Callable[[Analysis], list[dict[str, Any]]]]] = {
-    "strides": Analysis.stride_rows,
-    "phases": Analysis.phase_rows,
-    "events": Analysis.event_rows,
-    "path": Analysis.path_rows,
-    "events_causal": Analysis.causal_event_rows,
+TABLES: Final[Mapping[str, Callable[[Analysis], Table]]] = {
+    "strides": Analysis.stride_table,
+    "phases": Analysis.phase_table,
+    "events": Analysis.event_table,
+    "path": Analysis.path_table,
+    "events_causal": Analysis.causal_event_table,
 }
 DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 Strides = dict[str, tuple[int, int, float]]  # by foot: all, valid, distance in m
@@ -217,7 +218,7 @@ def _gait(result: Analysis, folder: Path, asked: Options) -> tuple[GaitParameter
             click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
     parameters = gait_parameters(result) if walk is None else walk.parameters
     tables = {
-        "parameters": parameters.rows() if walk is None else walk.rows(),
+        "parameters": parameters.table if walk is None else walk.rows(),
         "parameters_summary": parameters.summary_rows(),
         "mean_stride": [row for one in mean_strides(result.strides, parameters.strides) for row in one.rows()],
     }
@@ -383,7 +384,7 @@ def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods:
             gait.add(parameters, result.strides)
             for name in asked.tables():
                 files[name].add(TABLES[name](result))
-            files["parameters"].add(parameters.rows())
+            files["parameters"].add(parameters.table)
             chunks.append(_summarised(result))
             if not asked.bouts and (asked.report or asked.as_json):
                 _report_chunk(result, parameters, folder, len(chunks), asked)

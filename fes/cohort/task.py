@@ -105,7 +105,7 @@ def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list
         result = analyse(recording, found.calibrations, ground=ground)
     row = _row(source, settings, DONE, recording.subject, "; ".join(found.missing.values()))
     of = {"recording": identity, "subject": row["subject"]}
-    strides = [{**of, **finite_or_none(row)} for row in result.stride_rows()]
+    strides = [{**of, **finite_or_none(row)} for row in result.stride_table()]
     valid = [row for row in strides if row["valid"]]
     qualities = [track.quality for track in recording.tracks.values()]
     counts = ("samples", "missing", "clipped", "irregular")
@@ -122,7 +122,7 @@ def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list
     values = {name: [r[name] for r in valid if r[name] is not None] for name in _MEANS}
     values["stride_time_s"] = [r["t_end_s"] - r["t_start_s"] for r in valid]
     row |= {name: statistics.median(own) if own else None for name, own in values.items()}
-    return {STRIDES: strides, EVENTS: [{**of, **finite_or_none(r)} for r in result.event_rows()], RECORDINGS: [row]}
+    return {STRIDES: strides, EVENTS: [{**of, **finite_or_none(r)} for r in result.event_table()], RECORDINGS: [row]}
 
 
 def _of_both_feet(gait: GaitParameters) -> dict[str, float]:
@@ -130,7 +130,7 @@ def _of_both_feet(gait: GaitParameters) -> dict[str, float]:
 
     Symmetry is the size of Robinson's index, 0 where both feet do the same: which side is paretic is not known here.
     """
-    steps = [row.values["step_time_s"] for own in gait.strides.values() for row in own if row.steady]
+    steps = [value for own in gait.strides.values() for value in own["step_time_s"][own["steady"]].tolist()]
     steps = [value for value in steps if value == value]
     found = {"cadence_per_min": gait.walk.cadence_per_min, "step_time_s": statistics.median(steps or [math.nan])}
     for key in ("swing", "step_time"):

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fes.analysis.parameters.gait import ChunkedGait, GaitParameters, gait_parameters
-from fes.analysis.parameters.strides import StrideParameters
 from fes.analysis.results import LIVE_PHASE_COLUMNS, Analysis, phase_row
 from fes.analysis.tables import Table, join_tables, table_of
 from fes.estimation.strides import schema
@@ -135,17 +134,19 @@ def gather(analyses: list[Analysis] | Callable[[], Iterator[Analysis]]) -> Resul
         analyses: of each part; of a long recording what begins the analysis anew.
     """
     anew: Callable[[], Iterator[Analysis]] = analyses if callable(analyses) else lambda: iter(analyses)
-    tables, sums = [], None
-    strides: dict[str, list[StrideParameters]] = {}
+    tables, gaits = list[dict[str, Table]](), list[GaitParameters]()
+    sums: ChunkedGait | None = None
     for analysis in anew():
-        gait = gait_parameters(analysis)
-        sums = sums or ChunkedGait(analysis.recording.belt_speed_mps)
-        sums.add(gait, analysis.strides)
-        for foot, rows in gait.strides.items():
-            strides[foot] = [*strides.get(foot, []), *rows]
+        gaits.append(gait_parameters(analysis))
+        if callable(analyses):
+            sums = sums or ChunkedGait(analysis.recording.belt_speed_mps)
+            sums.add(gaits[-1], analysis.strides)
         tables.append(analysis.tables())
-    assert sums is not None, "a recording has a part at least"
-    gait = gait if len(tables) == 1 else replace(sums.parameters(), strides=strides)
+    gait = gaits[0]
+    if sums is not None and len(gaits) > 1:
+        feet = dict.fromkeys(foot for each in gaits for foot in each.strides)
+        own = {foot: [each.strides[foot] for each in gaits if foot in each.strides] for foot in feet}
+        gait = replace(sums.parameters(), strides={foot: join_tables(tables) for foot, tables in own.items()})
     joined = {name: join_tables([each[name] for each in tables]) for name in tables[0]}
     return Result(**joined, parameters=gait, _analyses=anew)
 

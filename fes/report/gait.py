@@ -13,15 +13,16 @@ have them on the mean; without both, evenly. The same strides count as in the ga
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from fes.analysis.parameters.contacts import Swing, warped
+from fes.analysis.parameters.contacts import Swings, no_swings
 from fes.analysis.parameters.gait import GaitParameters, statistics_of, symmetry, travelled, walk_of
-from fes.analysis.parameters.steps import LONGEST_STANCE_S, equalise_sides, steps_by_number
-from fes.analysis.parameters.strides import with_motion
+from fes.analysis.parameters.motion import MOTION_KEYS, shape_variations
+from fes.analysis.parameters.steps import equalise_sides, steps_of
+from fes.analysis.parameters.strides import neighbours, stride_parameters
+from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import Phase
 
@@ -40,28 +41,23 @@ def gait_of_strides(strides: Sequence[StrideResult], belt_speed_mps: float = NAN
     swings = {foot: swings_by_phases(own) for foot, own in valid.items()}
     rows = {}
     for foot, own in valid.items():
-        others = next((list(swings[other].values()) for other in valid if other != foot), [])
-        steps, changes = steps_by_number(own, swings[foot], others), _variations(own)
-        motion = {
-            s.number: {"position_variation_m": changes.get(s.number, NAN)}
-            | (_of_path(s, swings[foot].get(s.number)) if _drawable(s) else {})
-            for s in own
-        }
-        rows[foot] = with_motion(own, motion, swings[foot], steps, scales[foot])
+        other = next((swings[name] for name in valid if name != foot), no_swings(0))
+        steps, motion = steps_of(own, swings[foot], other), _motion(own, swings[foot])
+        rows[foot] = stride_parameters(own, motion, swings[foot], steps, scale=scales[foot])
     feet = {foot: statistics_of(own) for foot, own in rows.items()}
     belt = belt_speed_mps if math.isfinite(belt_speed_mps) else None
     walk = walk_of(map(travelled, rows.values()), belt)
     return GaitParameters(rows, feet, symmetry(feet), walk, None, NO_STEP_LENGTHS, scales)
 
 
-def swings_by_phases(strides: Sequence[StrideResult]) -> dict[int, Swing]:
-    """By stride number: foot off is T2, contact T3; without the strides that lack one."""
-    times = [(stride.number, stride.t_swing_ns, stride.t_loading_response_ns) for stride in strides]
-    return {
-        number: Swing(off, (off + contact) // 2, contact, heel_strike=True)
-        for number, off, contact in times
-        if off is not None and contact is not None and off < contact
-    }
+def swings_by_phases(strides: Sequence[StrideResult]) -> Swings:
+    """Of each stride (S,): foot off is T2, contact T3; none where it lacks one."""
+    entries = np.array([(s.t_swing_ns, s.t_loading_response_ns) for s in strides], object).reshape(-1, 2)
+    times = np.where(entries == None, UNSEEN_NS, entries).astype(np.int64)  # noqa: E711
+    swings = no_swings(len(strides))
+    seen = (times != UNSEEN_NS).all(axis=1) & (times[:, 0] < times[:, 1])
+    swings.foot_off_ns[seen], swings.contact_ns[seen] = times[seen].T
+    return swings
 
 
 def _sorted_by_start(strides: Sequence[StrideResult], foot: str) -> list[StrideResult]:
@@ -75,33 +71,27 @@ def _drawable(stride: StrideResult) -> bool:
     return stride.valid and bool(whole)
 
 
-def _of_path(stride: StrideResult, swing: Swing | None) -> dict[str, float]:
-    """A stride's path has x along the stride, y to the left and z up already."""
-    outward = stride.trajectory_m[:, 1] * (1.0 if stride.foot.startswith("left") else -1.0)
-    pitch = stride.pitch_rad - stride.pitch_rad[0]
-    found = {
-        "deviation_m": float(np.abs(outward).max()),
-        "circumduction_m": float(outward.max()),
-        "heel_rotation_rad": float(-pitch.min()),
-    }
-    if swing is not None:
-        places = np.linspace(0.0, float(stride.t_end_ns - stride.t_start_ns), len(pitch))
-        for key, at_ns in (("angle_off_rad", swing.foot_off_ns), ("angle_contact_rad", swing.contact_ns)):
-            found[key] = float(np.interp(float(at_ns - stride.t_start_ns), places, pitch))
-    return found
-
-
-def _variations(strides: Sequence[StrideResult]) -> Mapping[int, float]:
-    """PV (m) of each stride against the one before, by number; neighbours only."""
-    found = {}
-    for before, after in pairwise(strides):
-        near = after.number == before.number + 1 and after.t_start_ns - before.t_end_ns < LONGEST_STANCE_S * NS_PER_S
-        if near and _drawable(before) and _drawable(after):
-            one, other = before.trajectory_m, after.trajectory_m
-            shares = [(x - x.min()) / max(float(np.ptp(x)), 1e-9) for x in (one[:, 0], other[:, 0])]
-            i, j = warped(*shares)
-            found[after.number] = float(np.sqrt(np.mean(np.sum((other[j] - one[i]) ** 2, axis=1))))
-    return found
+def _motion(strides: Sequence[StrideResult], swings: Swings) -> dict[str, FloatArray]:
+    """What the paths of one foot's S valid strides show, by key (S,); x is along the stride, y to the left already."""
+    found = np.full((len(MOTION_KEYS), len(strides)), NAN)
+    drawable, shapes = [_drawable(stride) for stride in strides], np.zeros((len(strides), POINTS, 6))
+    for k, stride in enumerate(strides):
+        if not drawable[k]:
+            continue
+        outward = stride.trajectory_m[:, 1] * (1.0 if stride.foot.startswith("left") else -1.0)
+        pitch = stride.pitch_rad - stride.pitch_rad[0]
+        found[:3, k] = np.abs(outward).max(), outward.max(), -pitch.min()
+        if swings.seen[k]:
+            since_ns = np.array((swings.foot_off_ns[k], swings.contact_ns[k])) - stride.t_start_ns
+            places = np.linspace(0.0, float(stride.t_end_ns - stride.t_start_ns), len(pitch))
+            found[3:5, k] = np.interp(since_ns.astype(np.float64), places, pitch)
+        shares = np.linspace(0.0, 1.0, len(pitch))
+        for axis in range(3):
+            shapes[k, :, axis] = np.interp(np.linspace(0.0, 1.0, POINTS), shares, stride.trajectory_m[:, axis])
+    pairs = neighbours(strides)
+    pairs = pairs[np.array(drawable, np.bool_)[pairs].all(axis=1)]
+    found[5, pairs[:, 1]] = shape_variations(shapes, pairs)[:, 0]
+    return dict(zip(MOTION_KEYS, found, strict=True))
 
 
 def by_distance(path_m: FloatArray) -> FloatArray | None:
@@ -150,7 +140,8 @@ def foot_curves(
     for foot in feet:
         own = [stride for stride in _sorted_by_start(strides, foot) if _drawable(stride)]
         if gait is not None and foot in gait.strides:
-            steady = {row.number for row in gait.strides[foot] if row.steady}
+            rows = gait.strides[foot]
+            steady = set(rows["number"][rows["steady"]].tolist())
             own = [stride for stride in own if stride.number in steady] or own
         own = [stride for stride in own if stride.t_end_ns > stride.t_start_ns]
         if own:

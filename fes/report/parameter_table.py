@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters, Statistic
 from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
@@ -124,12 +126,11 @@ def temporal_symmetry(gait: GaitParameters) -> float:
 
 def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, int], Sequence[Flag]]) -> SideCell:
     value: Statistic = gait.feet[foot][key]
-    known, kinds = DEFINITIONS[key], flags_touching(key)
+    known, kinds, rows = DEFINITIONS[key], flags_touching(key), gait.strides[foot]
     digits = DIGITS[known.shown]
     own = [
-        [flag for flag in flags.get((foot, stride.number), ()) if flag.kind in kinds]
-        for stride in gait.strides[foot]
-        if stride.steady and math.isfinite(stride.values[key])
+        [flag for flag in flags.get((foot, number), ()) if flag.kind in kinds]
+        for number in rows["number"][rows["steady"] & np.isfinite(rows[key])].tolist()
     ]
     flagged = sum(bool(each) for each in own)
     why = f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {describe_flags(own)}"

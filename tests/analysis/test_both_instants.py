@@ -37,7 +37,7 @@ def result() -> Analysis:
 
 
 def test_a_stride_has_both_and_the_off_line_ones_are_near_the_truth(result: Analysis) -> None:
-    rows = result.stride_rows()
+    rows = result.stride_table().rows()
     true = [s for s in load_truth(TRIALS / "negard_patient2.parquet").strides if s.walking]
     pairs = [(row, s) for row in rows for s in true if row["t_start_s"] < s.t_swing_s < row["t_end_s"]]
     assert len(pairs) == len(true) == 45
@@ -62,14 +62,15 @@ def test_the_first_heel_rise_and_the_last_foot_flat_are_found_where_the_foot_sta
         replace(result.recording, tracks={FOOT: track.part(slice(0, int(np.searchsorted(track.t_ns, cut_ns))))}),
         result.calibrations,
     )
-    rows = short.event_rows()
+    rows = short.event_table().rows()
     assert rows[-1]["t_initial_contact_s"] == pytest.approx(1e-9 * events.ic_ns[-1])
-    assert short.offline_entries[-1].get("t_stance_ns", 0) < short.events[FOOT].ic_ns[-1], "nobody knows what followed"
+    assert short.offline_entries[-1, -1] < short.events[FOOT].ic_ns[-1], "nobody knows what followed"
 
 
 def test_a_phase_change_has_both_and_those_of_no_swing_have_the_live_one_alone() -> None:
     result = analyse(trial("not_walking"))
-    rows, of_swings = result.phase_rows(), {(row["foot"], row["t_swing_s"]) for row in result.stride_rows()}
+    rows = result.phase_table().rows()
+    of_swings = {(row["foot"], row["t_swing_s"]) for row in result.stride_table()}
     assert [row["t_live_s"] for row in rows] == [1e-9 * change.t_ns for change in result.phases]
     kinds = {row["transition"] for row in rows}
     assert "T5" in kinds
@@ -87,9 +88,9 @@ def test_every_file_format_has_both(tmp_path: Path, result: Analysis, kind: str)
     shown = json.loads(done.stdout)["strides"]
     assert all(row["live"]["loading_response_live_s"] > 0.0 for row in shown)
     for name, rows in (
-        ("strides", result.stride_rows()),
-        ("phases", result.phase_rows()),
-        ("events", result.event_rows()),
+        ("strides", result.stride_table().rows()),
+        ("phases", result.phase_table().rows()),
+        ("events", result.event_table().rows()),
     ):
         read = table(next(tmp_path.glob(f"*/{name}.{kind}")))
         assert list(read[0]) == list(rows[0])
@@ -124,10 +125,10 @@ def test_python_has_both_and_a_session_the_live_ones_alone(result: Analysis) -> 
 def test_a_shank_has_the_live_ones_alone() -> None:
     walk = shank_walk(standing_s=3.0, noise=0.02)
     result = analyse(recording_from_arrays({"left_shank": walk.acc}, {"left_shank": walk.gyr}, walk.rate_hz))
-    rows = result.stride_rows()
+    rows = result.stride_table().rows()
     assert rows
     assert all(math.isnan(row["t_swing_s"]) and row["t_swing_live_s"] > 0.0 for row in rows if row["valid"])
-    assert all(math.isnan(row["t_s"]) for row in result.phase_rows())
+    assert all(math.isnan(row["t_s"]) for row in result.phase_table().rows())
 
 
 def test_a_recording_in_pieces_has_the_same() -> None:
@@ -138,7 +139,7 @@ def test_a_recording_in_pieces_has_the_same() -> None:
     halves: list[Recording] = [replace(recording, tracks={FOOT: track.part(part)}) for part in
                                (slice(half), slice(half, None))]  # fmt: skip
     pieces = list(analyse_chunks(cut_into_chunks(halves, around_s=12.0), found.calibrations))
-    rows = [row for piece in pieces for row in piece.phase_rows()]
-    whole = analyse(recording, found.calibrations).phase_rows()
+    rows = [row for piece in pieces for row in piece.phase_table().rows()]
+    whole = analyse(recording, found.calibrations).phase_table().rows()
     assert [(row["t_live_s"], row["transition"]) for row in rows] == [(r["t_live_s"], r["transition"]) for r in whole]
     np.testing.assert_allclose([row["t_s"] for row in rows], [row["t_s"] for row in whole], atol=0.011)

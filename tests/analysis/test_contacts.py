@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fes.analysis.parameters.contacts import swing_of
-from fes.estimation.clearance.clearance import FootPath
+from fes.analysis.parameters.contacts import swings_of
+from fes.analysis.parameters.motion import pitches
+from fes.estimation.clearance.clearance import FootPath, join_paths
 from fes.estimation.events.offline import GaitEvents
 from fes.signals import NS_PER_S
 
@@ -36,10 +37,11 @@ def path(rate_hz: float, *, drops: float = 0.0, pulled: float = 0.0, bump: float
 def foot_off_s(way: FootPath) -> float:
     at = [np.array([round(s * NS_PER_S)], dtype=np.int64) for s in (OFFLINE_S, 0.85, LANDS_S)]
     events = GaitEvents(fo_ns=at[0], mid_swing_ns=at[1], ic_ns=at[2], heel_strike=np.array([False]))
-    swing = swing_of(way, events, None)
-    assert swing is not None
-    assert swing.contact_ns == at[2][0], "no heel strike: contact stays"
-    return swing.foot_off_ns / NS_PER_S
+    paths = join_paths([way])
+    swings = swings_of(paths, pitches(paths), events, None)
+    assert swings.seen.tolist() == [True]
+    assert swings.contact_ns[0] == at[2][0], "no heel strike: contact stays"
+    return float(swings.foot_off_ns[0]) / NS_PER_S
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0, 400.0])

@@ -58,11 +58,11 @@ def test_a_pause_costs_the_stride_in_which_it_falls_and_nothing_else(
         for key in ("step_time_s", "stride_time_s", "stride_length_m", "foot_strike_angle_rad", "swing_s"):
             if key in usual.feet[foot]:
                 assert gait.feet[foot][key].mean == pytest.approx(usual.feet[foot][key].mean, rel=0.02), (foot, key)
-        times = [row["t_s"] for row in result.path_rows() if row["foot"] == foot]
-        assert len(times) <= len(before.paths[foot].rows()) + 2
+        times = [row["t_s"] for row in result.path_table().rows() if row["foot"] == foot]
+        assert len(times) <= len(before.paths[foot].at_rate()[0]) + 2
         assert np.diff(times).max() == pytest.approx(pause_s, abs=2.0)
         assert np.isnan(path.places_at(path.seen_ns[:1, 1] + NS_PER_S)).all()
-    assert len(result.event_rows()) == pytest.approx(len(before.event_rows()), abs=2)
+    assert len(result.event_table().rows()) == pytest.approx(len(before.event_table().rows()), abs=2)
     assert gait.walk.cadence_per_min == pytest.approx(usual.walk.cadence_per_min, rel=0.01)
     swings = [find_swings(t.t_ns, t.acc_mps2, t.gyr_radps).sure.size for t in result.recording.tracks.values()]
     assert swings == pytest.approx(
@@ -89,8 +89,8 @@ def test_means_hold_no_step_across_an_unseen_one(walk: Recording, whole: tuple[A
     result = analyse(replace(walk, tracks=tracks), whole[0].calibrations)
     gait = gait_parameters(result)
     for foot, strides in gait.strides.items():
-        steps = np.array([stride.values["step_time_s"] for stride in strides])
-        usual = [stride.values["step_time_s"] for stride in whole[1].strides[foot]]
+        steps = strides["step_time_s"]
+        usual = whole[1].strides[foot]["step_time_s"]
         assert np.isfinite(steps).sum() >= 5
         assert np.nanmax(steps) <= np.nanmax(usual) + 0.05, "none is longer than without losses"
         assert sum(s.foot == foot and not s.valid for s in result.strides) >= 5

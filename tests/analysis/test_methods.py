@@ -46,7 +46,7 @@ def test_the_methods_of_every_report_are_the_default(usual: Analysis) -> None:
     same = by(usual, Methods())
     assert np.array_equal(lengths(same), lengths(usual))
     assert all(apart_m(same, usual, foot) == 0.0 for foot in FEET)
-    assert usual.causal_event_rows() == []
+    assert usual.causal_event_table().rows() == []
     assert "events_causal" not in usual.tables()
 
 

@@ -19,12 +19,14 @@ from scipy.spatial.transform import Rotation
 from stepping_feet import Steps, calibration, stepping
 
 from fes.analysis.hemiparetic.walk import hemiparetic_walk
-from fes.analysis.parameters.contacts import Motion, Swing, variation, warped
+from fes.analysis.parameters.contacts import Swings, no_swings
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import Statistic, gait_parameters, mean_strides, statistic, symmetry
+from fes.analysis.parameters.motion import motions, pitches, stride_shapes, variations, warped
 from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_of
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.cli.main import main
+from fes.estimation.clearance.clearance import FootPath, join_paths
 from fes.recording import Recording, read_recording
 from fes.report.tables import parameter_lines, parameter_table
 from fes.signals import NS_PER_S, StrideResult
@@ -53,7 +55,7 @@ def walk(analysed):
     return gait_parameters(analysed)
 
 
-def motion(pitch_rad=0.0, yaw_rad=0.0, sideways_m=0.0, lift_m=0.1, length_m=1.0, samples=101) -> Motion:
+def motion(pitch_rad=0.0, yaw_rad=0.0, sideways_m=0.0, lift_m=0.1, length_m=1.0, samples=101) -> FootPath:
     """A stride along x: a sideways bow, a lift, one rotation toe-down and back."""
     u = np.linspace(0.0, 1.0, samples)
     bell = np.sin(math.pi * u) ** 2
@@ -62,7 +64,17 @@ def motion(pitch_rad=0.0, yaw_rad=0.0, sideways_m=0.0, lift_m=0.1, length_m=1.0,
     forward = np.column_stack([np.cos(p) * np.cos(y), np.cos(p) * np.sin(y), np.sin(p)])
     left = np.column_stack([-np.sin(y), np.cos(y), np.zeros(samples)])
     axes = np.stack([forward, left, np.cross(forward, left)], axis=2)
-    return Motion(np.round(u * 1e9).astype(np.int64), position, axes)
+    return FootPath(1, np.round(u * 1e9).astype(np.int64), position, axes, None, None)
+
+
+def shown(stride: FootPath, side: str = "left") -> list[float]:
+    """MDD, circumduction and MLR."""
+    paths, unseen = join_paths([stride]), no_swings(1)
+    return motions(paths, pitches(paths), unseen.foot_off_ns, unseen.contact_ns, side)[0, :3].tolist()
+
+
+def variation(one: FootPath, other: FootPath) -> list[float]:
+    return variations(join_paths([one, other]), np.array([[0, 1]]))[0].tolist()
 
 
 # --- one stride ------------------------------------------------------------------------------------------
@@ -72,15 +84,16 @@ def motion(pitch_rad=0.0, yaw_rad=0.0, sideways_m=0.0, lift_m=0.1, length_m=1.0,
 @given(st.floats(0.0, 2.0), st.floats(-0.2, 0.2), st.floats(0.0, 0.3))
 def test_mlr_and_mdd_are_what_went_in(pitch, sideways, lift):
     stride = motion(pitch, 0.0, sideways, lift)
-    assert stride.heel_rotation_rad() == pytest.approx(pitch, abs=1e-9)  # beyond a right angle, too
-    assert stride.deviation_m() == pytest.approx(abs(sideways), abs=1e-9)
-    assert stride.circumduction_m("left") == pytest.approx(max(sideways, 0.0), abs=1e-9)
-    assert stride.circumduction_m("right") == pytest.approx(max(-sideways, 0.0), abs=1e-9)
+    expected = (abs(sideways), max(sideways, 0.0), pitch)  # beyond a right angle, too
+    assert shown(stride) == pytest.approx(expected, abs=1e-9)
+    assert shown(stride, "right")[1] == pytest.approx(max(-sideways, 0.0), abs=1e-9)
 
 
 def test_a_turn_about_the_vertical_is_no_lifted_heel():
-    assert motion(0.0, 0.7).heel_rotation_rad() == pytest.approx(0.0, abs=1e-9)
-    assert np.linalg.norm(motion(0.0, 0.7).orientation_rad(), axis=1).max() == pytest.approx(0.7, abs=1e-3)
+    turning = motion(0.0, 0.7)
+    assert shown(turning)[2] == pytest.approx(0.0, abs=1e-9)
+    turns = np.linalg.norm(stride_shapes(join_paths([turning]))[0, :, 3:], axis=1)
+    assert turns.max() == pytest.approx(0.7, abs=1e-3)
 
 
 @given(st.floats(0.0, math.pi), st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: math.hypot(*axis) > 0.1))
@@ -91,10 +104,10 @@ def test_orientation_is_axis_times_angle(angle, axis):
     """Up to half a turn, where one way round is as good as the other: compared as rotations."""
     wanted = Rotation.from_rotvec(angle * np.array(axis) / math.hypot(*axis))
     axes = np.stack((np.eye(3), wanted.as_matrix()))
-    found = Motion(np.arange(2), np.zeros((2, 3)), axes).orientation_rad()
+    found = stride_shapes(join_paths([FootPath(1, np.arange(2), np.eye(3)[:2], axes, None, None)]))[0, :, 3:]
     assert found[0] == pytest.approx(np.zeros(3), abs=1e-12)
-    assert np.linalg.norm(found[1]) == pytest.approx(angle, abs=2e-6)
-    assert (Rotation.from_rotvec(found[1]) * wanted.inv()).magnitude() < 2e-6
+    assert np.linalg.norm(found[-1]) == pytest.approx(angle, abs=2e-6)
+    assert (Rotation.from_rotvec(found[-1]) * wanted.inv()).magnitude() < 2e-6
 
 
 @given(st.floats(-3.0, 3.0))
@@ -102,10 +115,10 @@ def test_parameters_of_a_stride_do_not_depend_on_where_it_goes(heading):
     c, s = math.cos(heading), math.sin(heading)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     straight = motion(1.0, 0.2, 0.05, 0.12)
-    turned = Motion(straight.t_ns, straight.position_m @ turn.T, np.einsum("ij,njk->nik", turn, straight.axes))
-    assert np.allclose(turned.own_frame_m(), straight.own_frame_m())
-    assert np.allclose(turned.orientation_rad(), straight.orientation_rad())
-    assert np.allclose(turned.pitch_rad(), straight.pitch_rad())
+    axes = np.einsum("ij,njk->nik", turn, straight.axes)
+    turned = replace(straight, position_m=straight.position_m @ turn.T, axes=axes)
+    assert np.allclose(*(stride_shapes(join_paths([each])) for each in (turned, straight)))
+    assert np.allclose(*(pitches(join_paths([each])) for each in (turned, straight)))
 
 
 # --- variation -------------------------------------------------------------------------------------------
@@ -113,8 +126,8 @@ def test_parameters_of_a_stride_do_not_depend_on_where_it_goes(heading):
 
 def test_equal_strides_do_not_vary_and_slower_ones_hardly():
     one = motion(1.0, 0.1, 0.05)
-    assert variation(one, one) == (0.0, 0.0)
-    slower = Motion(one.t_ns * 3 // 2, one.position_m, one.axes)
+    assert variation(one, one) == [0.0, 0.0]
+    slower = replace(one, t_ns=one.t_ns * 3 // 2)
     assert variation(one, slower) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
@@ -139,47 +152,56 @@ def test_warping_goes_from_end_to_end_without_leaps(one, other):
 # --- both feet -------------------------------------------------------------------------------------------
 
 
-def swings(first_off_s: float, count: int, swing_s: float = 0.4, cycle_s: float = 1.0) -> list[Swing]:
-    out = []
-    for k in range(count):
-        off = first_off_s + k * cycle_s
-        times = (round(t * NS_PER_S) for t in (off, off + 0.5 * swing_s, off + swing_s))
-        out.append(Swing(*times, True))
-    return out
+def swings(*first_off_s: float, count: int, swing_s: float = 0.4) -> Swings:
+    """So many a second apart, from each of the times on."""
+    off_s = np.concatenate([first + np.arange(count) for first in first_off_s])
+    found = no_swings(len(off_s))
+    found.foot_off_ns[:], found.contact_ns[:] = np.round(NS_PER_S * off_s), np.round(NS_PER_S * (off_s + swing_s))
+    return found
 
 
 def test_times_of_two_feet_that_alternate():
-    steps = steps_of(swings(10.0, 6), swings(10.45, 6, 0.35))
-    assert math.isnan(steps[0].stride_time_s)
-    for step in steps[1:]:
-        assert step.stride_time_s == pytest.approx(1.0)
-        assert step.stance_s == pytest.approx(0.6)
-        assert step.step_time_s == pytest.approx(0.6)  # the other lands at .8 of the second before
-        assert step.double_support_s == pytest.approx(0.6 - 0.35)
+    own, other = swings(10.0, count=6), swings(10.45, count=6, swing_s=0.35)
+    steps = steps_of(strides_at("left_foot", 9.7, [1.0] * 6), own, other)
+    assert math.isnan(steps.stride_time_s[0])
+    assert steps.stride_time_s[1:] == pytest.approx(1.0)
+    assert steps.stance_s[1:] == pytest.approx(0.6)
+    assert steps.step_time_s[1:] == pytest.approx(0.6)  # the other lands at .8 of the second before
+    assert steps.double_support_s[1:] == pytest.approx(0.6 - 0.35)
 
 
 def test_one_foot_alone_has_strides_but_no_steps():
-    step = steps_of(swings(10.0, 3), [])[2]
-    assert step.stride_time_s == pytest.approx(1.0)
-    assert math.isnan(step.step_time_s)
-    assert math.isnan(step.double_support_s)
+    steps = steps_of(strides_at("left_foot", 9.7, [1.0] * 3), swings(10.0, count=3), no_swings(0))
+    assert steps.stride_time_s[1:] == pytest.approx(1.0)
+    assert np.isnan((steps.step_time_s, steps.double_support_s)).all()
 
 
 def test_standing_between_two_walks_is_no_stride():
-    own = [*swings(10.0, 2), *swings(60.0, 2)]
-    times = [step.stride_time_s for step in steps_of(own, [])]
+    own = [*strides_at("left_foot", 9.7, [1.0] * 2), *strides_at("left_foot", 59.7, [1.0] * 2, first_number=3)]
+    times = steps_of(own, swings(10.0, 60.0, count=2), no_swings(0)).stride_time_s
     assert times[1] == pytest.approx(1.0)
     assert math.isnan(times[2])
 
 
-def strides_at(foot: str, first_s: float, lengths_m: list[float], turn_rad: float = 0.0) -> list[StrideResult]:
+def test_a_stride_that_is_missing_ends_no_stride():
+    own = strides_at("left_foot", 9.7, [1.0] * 5)
+    every = swings(10.0, count=5)
+    kept = np.array([0, 1, 3, 4])
+    steps = steps_of([own[k] for k in kept], Swings(*(times[kept] for times in every)), no_swings(0))
+    assert np.isnan(steps.stride_time_s).tolist() == [True, False, True, False]
+
+
+def strides_at(
+    foot: str, first_s: float, lengths_m: list[float], turn_rad: float = 0.0, first_number: int = 1
+) -> list[StrideResult]:
     out = []
     for k, length in enumerate(lengths_m):
         begin, end = first_s + k, first_s + k + 1.0
         out.append(
             StrideResult(
-                foot, k + 1, round(begin * NS_PER_S), round(end * NS_PER_S), length, 0.1, 0.0, turn_rad, length,
-                round((begin + 0.2) * NS_PER_S), round((begin + 0.3) * NS_PER_S), round((begin + 0.7) * NS_PER_S),
+                foot, k + first_number, round(begin * NS_PER_S), round(end * NS_PER_S), length, 0.1, 0.0, turn_rad,
+                length, round((begin + 0.2) * NS_PER_S), round((begin + 0.3) * NS_PER_S),
+                round((begin + 0.7) * NS_PER_S),
                 round((begin + 0.8) * NS_PER_S),
             )
         )  # fmt: skip
@@ -191,10 +213,9 @@ def lengths_of(left_m: list[float], right_m: list[float], turn_rad: float = 0.0,
         "left_foot": strides_at("left_foot", 5.0, left_m, turn_rad),
         "right_foot": strides_at("right_foot", 5.5, right_m, turn_rad),
     }
-    landed = {
-        foot: {s.number: Swing(s.t_start_ns, s.t_start_ns, s.t_loading_response_ns, True) for s in own}
-        for foot, own in strides.items()
-    }
+    landed = {foot: no_swings(len(own)) for foot, own in strides.items()}
+    for foot, own in strides.items():
+        landed[foot].contact_ns[:] = [stride.t_loading_response_ns for stride in own]
     return step_lengths(strides, landed, (0, round(end_s * NS_PER_S)), dict.fromkeys(strides, 1.0))
 
 
@@ -202,14 +223,13 @@ def test_step_lengths_of_a_lame_walk_that_starts_and_ends_side_by_side():
     # left steps 0.5 m past the right foot, right only 0.3 m past the left
     found, why = lengths_of([0.5, *[0.8] * 9, 0.3], [*[0.8] * 10, 0.0])
     assert why == ""
-    assert [found["left_foot"][k] for k in range(1, 11)] == pytest.approx([0.5] * 10)
-    assert [found["right_foot"][k] for k in range(1, 11)] == pytest.approx([0.3] * 10)
-    assert found["left_foot"][11] == pytest.approx(0.0, abs=1e-9)
+    assert found["left_foot"] == pytest.approx([0.5] * 10 + [0.0])
+    assert found["right_foot"][:10] == pytest.approx(0.3)
 
 
 def test_a_drift_between_the_feet_is_taken_out_of_the_step_lengths():
     drifting, _ = lengths_of([0.51, *[0.81] * 9, 0.31], [*[0.8] * 10, 0.0])
-    assert [drifting["left_foot"][k] for k in range(1, 11)] == pytest.approx([0.5] * 10, abs=0.02)
+    assert drifting["left_foot"][:10] == pytest.approx(0.5, abs=0.02)
 
 
 @pytest.mark.parametrize(("turn_rad", "end_s", "said"), [(0.5, 40.0, "turns"), (0.0, 17.0, "no standing side by side")])
@@ -296,23 +316,23 @@ def test_a_walk_by_formula_has_its_lengths_and_its_rotation():
 
 
 def test_a_bundled_walk_has_every_parameter_and_one_row_per_valid_stride(analysed, walk):
-    assert len(walk.rows()) == sum(stride.valid for stride in analysed.strides)
+    assert len(walk.table) == sum(stride.valid for stride in analysed.strides)
     for foot, found in walk.feet.items():
         missing = [key for key in STRIDE_KEYS if not found[key].n]
         assert not missing, foot
     assert walk.walk.belt_ratio == pytest.approx(1.0, abs=0.02)
-    starts = [row["t_start_s"] for row in walk.rows()]
+    starts = [row["t_start_s"] for row in walk.table]
     assert starts == sorted(starts)
-    for row in walk.rows():
+    for row in walk.table:
         if math.isfinite(row["stance_s"]):
             assert row["stance_s"] + row["swing_s"] == pytest.approx(row["stride_time_s"])
             assert 0.0 < row["double_support_share"] < row["stance_share"] < 1.0
 
 
 def test_turning_and_starting_strides_are_not_steady(walk):
-    assert not all(strides[-1].steady for strides in walk.strides.values())  # one foot closes up to the other
+    assert not all(strides["steady"][-1] for strides in walk.strides.values())  # one foot closes up to the other
     for strides in walk.strides.values():
-        assert sum(stride.steady for stride in strides) >= 0.9 * len(strides)
+        assert strides["steady"].mean() >= 0.9
 
 
 def test_one_foot_alone_has_parameters_too(analysed):
@@ -329,7 +349,7 @@ def test_one_foot_alone_has_parameters_too(analysed):
 
 
 def test_every_parameter_is_defined_and_every_definition_is_said_in_full(walk):
-    assert set(walk.rows()[0]) >= set(STRIDE_KEYS)
+    assert set(walk.table[0]) >= set(STRIDE_KEYS)
     assert {row["parameter"] for row in walk.summary_rows()} <= set(DEFINITIONS)
     page = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
     for key, item in DEFINITIONS.items():
@@ -353,7 +373,7 @@ def test_the_command_writes_the_parameters(tmp_path, walk):
     folder = tmp_path / "both_feet_100hz-001"
     with (folder / "parameters.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["stride_length_m"]) for row in rows] == [row["stride_length_m"] for row in walk.rows()]
+    assert [float(row["stride_length_m"]) for row in rows] == [row["stride_length_m"] for row in walk.table]
     with (folder / "parameters_summary.csv").open() as file:
         summary = {(row["of"], row["parameter"]): row["value"] for row in csv.DictReader(file)}
     assert float(summary["walk", "walking_speed_mps"]) == pytest.approx(1.2, rel=0.02)
@@ -380,7 +400,7 @@ def test_the_mean_stride_begins_and_ends_on_the_ground(analysed, walk):
     found = mean_strides(analysed.strides, walk.strides)
     assert {one.foot for one in found} == set(walk.feet)
     for one in found:
-        assert one.n == sum(stride.steady for stride in walk.strides[one.foot])
+        assert one.n == walk.strides[one.foot]["steady"].sum()
         assert one.mean[-1, 0] == pytest.approx(walk.feet[one.foot]["stride_length_common_m"].mean, rel=0.01)
         # the mean's peak is lower than the peaks' mean, for they do not come at the same share of each stride
         lift_m = walk.feet[one.foot]["lift_m"].mean
@@ -401,7 +421,7 @@ def test_a_recording_with_hardly_a_stride_has_few_parameters_and_no_error(analys
         )  # fmt: skip
     result = analyse(replace(analysed.recording, tracks=tracks), analysed.calibrations)
     found = gait_parameters(result)
-    assert len(found.rows()) == sum(stride.valid for stride in result.strides)
+    assert len(found.table) == sum(stride.valid for stride in result.strides)
     json.dumps(found.to_json())
     hemiparetic = hemiparetic_walk(result)
     json.dumps(hemiparetic.to_json())
@@ -416,8 +436,7 @@ def test_every_bundled_trial_has_parameters(name):
     result = gait_parameters(analyse(recording, found.calibrations))
     for strides in result.strides.values():
         assert strides
-        for stride in strides:
-            v = stride.values
+        for v in strides:
             assert v["stride_length_common_m"] >= 0.0
             assert not v["swing_s"] <= 0.0
             assert not v["stride_time_s"] <= v["swing_s"]

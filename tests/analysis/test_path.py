@@ -134,15 +134,14 @@ def test_the_way_is_that_of_the_simulated_walker() -> None:
         true_m = sum(stride.stride_length_m for stride in truth.strides_of(foot))
         assert path.distance_m == pytest.approx(true_m, rel=0.03)
         assert abs(path.height_gained_m) < 0.05
-    rows = [row for row in result.stride_rows() if row["valid"]]
-    for foot, path in result.paths.items():
+    rows = [row for row in result.stride_table().rows() if row["valid"]]
+    for foot in result.paths:
         own = [row for row in rows if row["foot"] == foot]
         steps = np.hypot(np.diff([r["x_m"] for r in own]), np.diff([r["y_m"] for r in own]))
         lengths = np.array([row["stride_length_m"] for row in own[1:]])
         assert np.median(np.abs(steps - lengths)) < 0.02
-        assert {row["foot"] for row in path.rows()} == {foot}
-    table = result.path_rows()
-    assert len(table) == sum(len(path.rows()) for path in result.paths.values())
+    table = result.path_table().rows()
+    assert len(table) == sum(len(path.at_rate()[0]) for path in result.paths.values())
     seconds = np.array([row["t_s"] for row in table if row["foot"] == "left_foot"])
     assert np.diff(seconds) == pytest.approx(np.full(len(seconds) - 1, 0.1), abs=1e-6)
 
@@ -209,8 +208,8 @@ def test_a_foot_without_a_path_is_told_and_costs_nothing_else(monkeypatch: pytes
     recording = read_recording(TRIALS / "example_csv.csv")
     result = analyse(*calibrated(recording))
     assert result.no_path == {"right_foot": "right_foot: no rest"}
-    assert result.path_rows() == []
-    assert all(math.isnan(row["x_m"]) for row in result.stride_rows())
+    assert result.path_table().rows() == []
+    assert all(math.isnan(row["x_m"]) for row in result.stride_table().rows())
     assert len(result.strides) >= 4
 
 

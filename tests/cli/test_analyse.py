@@ -141,11 +141,11 @@ def test_few_strides_leave_the_prior_and_a_warning(analysed):
 
 
 def test_rows_hold_every_stride_and_phase_change(analysed):
-    strides, phases = analysed.stride_rows(), analysed.phase_rows()
+    strides, phases = analysed.stride_table().rows(), analysed.phase_table().rows()
     assert len(strides) == len(analysed.strides)
     assert strides[0]["stride_length_m"] == analysed.strides[0].stride_length_m
     assert [row["t_live_s"] for row in phases] == [1e-9 * change.t_ns for change in analysed.phases]
-    events = analysed.event_rows()
+    events = analysed.event_table().rows()
     assert abs(len(events) - len(strides)) <= 4
     assert all(row["t_foot_off_s"] < row["t_mid_swing_s"] < row["t_initial_contact_s"] for row in events)
     assert {row["to"] for row in phases} == {phase.name.lower() for phase in Phase}
@@ -240,7 +240,7 @@ def test_a_shank_alone_tells_the_foots_strides(tmp_path, rise_m):
     assert len(valid) >= 12
     lengths = sorted(stride.stride_length_m for stride in valid)
     assert lengths[len(lengths) // 2] == pytest.approx(walk.stride_length_m, rel=0.08)
-    assert result.event_rows() == result.path_rows() == []
+    assert result.event_table().rows() == result.path_table().rows() == []
     assert "a path needs a sensor" in result.no_path["left_shank"]
     assert len(result.walk_record().samples) == 1
 

@@ -43,5 +43,5 @@ def test_every_stimulated_stride_has_one_foot_off_and_one_contact(speed: str, tm
         mine = parameters.strides[foot]
         assert len(mine) >= inside.sum() - 1
         for stride in mine:  # NaN, no times, is not below
-            assert np.abs(off - stride.t_foot_off_s).min() < LIFTED_S
-            assert np.abs(contact - stride.t_contact_s).min() < PATH_S
+            assert np.abs(off - stride["t_foot_off_s"]).min() < LIFTED_S
+            assert np.abs(contact - stride["t_contact_s"]).min() < PATH_S

@@ -68,16 +68,16 @@ def test_two_pieces_show_the_same_events_lengths_and_path(walk):
     recording, calibrations, whole = walk
     pieces = list(analyse_chunks(cut_into_chunks(parts_of(recording, [4_000]), around_s=15.0), calibrations))
     key = lambda row: (row["foot"], row["t_mid_swing_s"])  # noqa: E731
-    events = sorted((row for p in pieces for row in p.event_rows()), key=key)
-    for row, other in zip(events, sorted(whole.event_rows(), key=key), strict=True):
+    events = sorted((row for p in pieces for row in p.event_table().rows()), key=key)
+    for row, other in zip(events, sorted(whole.event_table().rows(), key=key), strict=True):
         assert row["t_initial_contact_s"] == pytest.approx(other["t_initial_contact_s"], abs=1e-6)
         assert row["foot_strike_angle_rad"] == pytest.approx(other["foot_strike_angle_rad"], abs=1e-6, nan_ok=True)
     lengths = {(s.foot, s.number): s.stride_length_m for p in pieces for s in p.strides if s.valid}
     apart = [lengths[s.foot, s.number] - s.stride_length_m for s in whole.strides if s.valid]
     assert np.sqrt(np.mean(np.square(apart))) < 0.005
-    rows = [row for p in pieces for row in p.path_rows()]
+    rows = [row for p in pieces for row in p.path_table().rows()]
     times = sorted((row["foot"], row["t_s"]) for row in rows)
-    assert times == sorted((row["foot"], row["t_s"]) for row in whole.path_rows())
+    assert times == sorted((row["foot"], row["t_s"]) for row in whole.path_table().rows())
     for foot in whole.paths:  # the path goes on where it was, without a jump
         own = sorted((row for row in rows if row["foot"] == foot), key=lambda row: row["t_s"])
         steps = [math.hypot(b["x_m"] - a["x_m"], b["y_m"] - a["y_m"]) for a, b in pairwise(own)]
@@ -87,9 +87,9 @@ def test_two_pieces_show_the_same_events_lengths_and_path(walk):
 def test_a_recording_that_is_one_piece_is_analysed_as_a_whole(walk):
     recording, calibrations, whole = walk
     (only,) = analyse_chunks(cut_into_chunks([recording]), calibrations)
-    assert only.path_rows() == whole.path_rows()
-    assert only.event_rows() == whole.event_rows()
-    np.testing.assert_equal(only.stride_rows(), whole.stride_rows())
+    assert only.path_table().rows() == whole.path_table().rows()
+    assert only.event_table().rows() == whole.event_table().rows()
+    np.testing.assert_equal(only.stride_table().rows(), whole.stride_table().rows())
 
 
 def test_pieces_that_are_done_with_are_not_kept(walk):
@@ -166,7 +166,7 @@ def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monk
     strides = read_table(folder / f"strides.{kind}")
     assert len(strides) == len(walk[2].strides)
     assert {(row["foot"], int(row["number"])) for row in strides} == {(s.foot, s.number) for s in walk[2].strides}
-    assert len(read_table(folder / f"path.{kind}")) == len(walk[2].path_rows())
+    assert len(read_table(folder / f"path.{kind}")) == len(walk[2].path_table().rows())
     assert "Chunks" in done.output
 
 

@@ -180,7 +180,7 @@ class HemipareticWalk:
                 "afflicted": "" if own is None else "yes" if row["foot"] == f"{own}_foot" else "no",
                 "terrain": str(self.terrain.get(row["foot"], {}).get(row["number"], Terrain.UNKNOWN)),
             }
-            for row in self.parameters.rows()
+            for row in self.parameters.table
         ]
 
     def window_rows(self) -> list[dict[str, Any]]:

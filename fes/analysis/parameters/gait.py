@@ -14,15 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from fes.analysis.parameters.contacts import Swing, swing_of
+from fes.analysis.parameters.contacts import Swings, no_swings, swings_of
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
-from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_by_number
-from fes.analysis.parameters.strides import NAN, StrideParameters, stride_parameters
+from fes.analysis.parameters.motion import pitches
+from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_of
+from fes.analysis.parameters.strides import PARAMETER_COLUMNS, motion_of, stride_parameters
 from fes.analysis.results import Analysis
-from fes.analysis.tables import Table, table_of
-from fes.estimation.clearance.clearance import FootPath, arms_of
+from fes.analysis.tables import Table, join_tables, table_of
+from fes.estimation.clearance.clearance import FootArms, arms_of
 from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
 from fes.walk_record import finite_or_none
+
+NAN = math.nan
 
 NO_SIDES = ("height_gained_m", "turn_rad")  # small differences from zero: no symmetry to speak of
 NO_CV = (*NO_SIDES, "angle_contact_rad", "angle_off_rad")  # may be about zero, which a spread cannot be a share of
@@ -64,16 +67,16 @@ class Walk:
 
 def statistic(values: Iterable[float]) -> Statistic:
     """Of the finite values; NaN where there are too few."""
-    kept = np.array([value for value in values if math.isfinite(value)])
+    every = np.asarray(values, np.float64)
+    kept = every[np.isfinite(every)]
     mean = float(kept.mean()) if kept.size else NAN
     sd = float(kept.std(ddof=1)) if kept.size > 1 else NAN
     return Statistic(mean, sd, sd / abs(mean) if mean else NAN, int(kept.size))
 
 
-def statistics_of(strides: Sequence[StrideParameters]) -> dict[str, Statistic]:
+def statistics_of(strides: Table) -> dict[str, Statistic]:
     """Of every parameter over one foot's steady strides; no coefficient of variation for what may be about zero."""
-    steady = [stride for stride in strides if stride.steady]
-    return _without_cv({key: statistic(stride.values[key] for stride in steady) for key in STRIDE_KEYS})
+    return _without_cv({key: statistic(strides[key][strides["steady"]]) for key in STRIDE_KEYS})
 
 
 def _without_cv(found: dict[str, Statistic]) -> dict[str, Statistic]:
@@ -100,11 +103,11 @@ def symmetry(feet: Mapping[str, Mapping[str, Statistic]], paretic: str | None = 
     return found
 
 
-def travelled(strides: Sequence[StrideParameters]) -> FloatArray:
+def travelled(strides: Table) -> FloatArray:
     """How far (m) one foot's steady strides whose time is known led, how long they took (s), and how many they are."""
-    known = [s.values for s in strides if s.steady and math.isfinite(s.values["stride_time_s"])]
-    keys = ("stride_length_common_m", "stride_time_s")
-    return np.array([*(sum(values[key] for values in known) for key in keys), len(known)], np.float64)
+    length_m, time_s = (strides[key][strides["steady"]] for key in ("stride_length_common_m", "stride_time_s"))
+    known = np.isfinite(time_s)
+    return np.array([length_m[known].sum(), time_s[known].sum(), np.count_nonzero(known)], np.float64)
 
 
 def walk_of(feet: Iterable[FloatArray], belt_mps: float | None) -> Walk:
@@ -119,6 +122,7 @@ def walk_of(feet: Iterable[FloatArray], belt_mps: float | None) -> Walk:
 
 
 LEAST_STRIDES = 2
+NO_STRIDES = Table.from_rows(PARAMETER_COLUMNS, [])
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,17 +143,15 @@ class MeanStride:
         return [dict(zip(columns, (self.foot, *row, self.n), strict=True)) for row in numbers]
 
 
-def mean_strides(
-    strides: Sequence[StrideResult], parameters: Mapping[str, Sequence[StrideParameters]]
-) -> list[MeanStride]:
+def mean_strides(strides: Sequence[StrideResult], parameters: Mapping[str, Table]) -> list[MeanStride]:
     """Of every foot with at least two steady strides; ``parameters`` say which of all ``strides`` are."""
     out = []
     for foot, rows in parameters.items():
-        steady = {row.number for row in rows if row.steady}
+        steady = set(rows["number"][rows["steady"]].tolist())
         own = [s for s in strides if s.foot == foot and s.number in steady and len(s.trajectory_m)]
         if len(own) < LEAST_STRIDES:
             continue
-        every = np.array([np.column_stack((s.trajectory_m, s.pitch_rad)) for s in own])
+        every = np.dstack((np.array([s.trajectory_m for s in own]), np.array([s.pitch_rad for s in own])))
         out.append(MeanStride(foot, every.mean(axis=0), every.std(axis=0, ddof=1), len(own)))
     return out
 
@@ -158,7 +160,7 @@ def mean_strides(
 class GaitParameters:
     """Of a whole recording."""
 
-    strides: dict[str, list[StrideParameters]]  # by foot, valid strides by time
+    strides: dict[str, Table]  # by foot, a row a valid stride, by time; fes.analysis.parameters.strides has the columns
     feet: dict[str, dict[str, Statistic]]  # by foot, of every stride parameter over the steady strides
     sides: dict[str, Symmetry]  # by parameter, the two sides compared; empty with one foot
     walk: Walk
@@ -170,17 +172,13 @@ class GaitParameters:
     @property
     def table(self) -> Table:
         """A row a valid stride, by time."""
-        return table_of(self.rows())
+        by_foot = (self.strides[foot] for foot in sorted(self.strides))
+        return join_tables([NO_STRIDES, *by_foot]).sorted_by("t_start_s")
 
     @property
     def summary(self) -> Table:
         """Means of each foot, the sides compared, the walk's own: a row a number."""
         return table_of(self.summary_rows())
-
-    def rows(self) -> list[dict[str, Any]]:
-        """One flat row per stride, by time."""
-        every = [stride.row() for strides in self.strides.values() for stride in strides]
-        return sorted(every, key=lambda row: (row["t_start_s"], row["foot"]))
 
     def summary_rows(self) -> list[dict[str, Any]]:
         """One flat row per foot and parameter, then one per parameter with the sides compared, then the walk's.
@@ -218,31 +216,33 @@ def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitPa
     ``paretic`` is "left" or "right", for the comparison of the sides; None where nobody knows.
     """
     feet = [foot for foot in FOOT_SENSORS if foot in analysis.events]
-    paths = {foot: {path.number: path for path in analysis.stride_paths.get(foot, [])} for foot in feet}
-    swings = {foot: _swings(analysis, foot, paths[foot]) for foot in feet}
     every = {foot: [s for s in analysis.strides if s.foot == foot] for foot in feet}
+    valid = {foot: [stride for stride in own if stride.valid] for foot, own in every.items()}
     scales = equalise_sides(every)
+    paths = {foot: analysis.blocks[foot].paths() for foot in feet}
+    pitch = {foot: pitches(paths[foot]) for foot in feet}
+    swings = {foot: swings_of(paths[foot], pitch[foot], analysis.events[foot], _arms(analysis, foot)) for foot in feet}
+    places = {foot: paths[foot].places([stride.number for stride in valid[foot]]) for foot in feet}
+    own_swings = {foot: Swings(*(times[places[foot]] for times in swings[foot])) for foot in feet}
     tracks = [analysis.recording.tracks[foot] for foot in feet]
-    lengths, why = dict[str, dict[int, float]](), "no foot sensor"
+    lengths, why = dict[str, FloatArray](), "no foot sensor"
     if tracks:
         span = max(int(track.t_sensor_ns[0]) for track in tracks), min(int(track.t_sensor_ns[-1]) for track in tracks)
-        lengths, why = step_lengths(every, swings, span, scales)
+        lengths, why = step_lengths(every, own_swings, span, scales)
     strides = {}
     for foot in feet:
-        valid = [stride for stride in every[foot] if stride.valid]
-        others = [swing for other in feet if other != foot for swing in swings[other].values()]
-        steps = steps_by_number(valid, swings[foot], others)
-        strides[foot] = stride_parameters(valid, paths[foot], swings[foot], steps, lengths.get(foot, {}), scales[foot])
+        own, other = own_swings[foot], next((swings[name] for name in feet if name != foot), no_swings(0))
+        motion = motion_of(valid[foot], paths[foot].chosen(places[foot]), pitch[foot], own)
+        steps = steps_of(valid[foot], own, other)
+        strides[foot] = stride_parameters(valid[foot], motion, own, steps, lengths.get(foot), scales[foot])
     found = {foot: statistics_of(rows) for foot, rows in strides.items()}
     walk = walk_of(map(travelled, strides.values()), analysis.recording.belt_speed_mps)
     return GaitParameters(strides, found, symmetry(found, paretic), walk, paretic, why, scales)
 
 
-def _swings(analysis: Analysis, foot: str, paths: Mapping[int, FootPath]) -> dict[int, Swing]:
+def _arms(analysis: Analysis, foot: str) -> FootArms | None:
     known = analysis.points.get(foot)
-    arms = arms_of(known.geometry) if known is not None and known.geometry is not None else None
-    every = {number: swing_of(path, analysis.events[foot], arms) for number, path in paths.items()}
-    return {number: swing for number, swing in every.items() if swing is not None}
+    return None if known is None or known.geometry is None else arms_of(known.geometry)
 
 
 def _summary_row(of: str, key: str, unit: str) -> dict[str, Any]:
@@ -280,7 +280,7 @@ class ChunkedGait:
 
     def parameters(self) -> GaitParameters:
         """Of all chunks; the strides themselves are not kept."""
-        none: dict[str, list[StrideParameters]] = {foot: [] for foot in self._feet}
+        none = dict.fromkeys(self._feet, NO_STRIDES)
         walk = walk_of(self._travelled.values(), self._belt_mps)
         why = "" if self._step_lengths else self._no_step_lengths
         return GaitParameters(none, self._feet, symmetry(self._feet), walk, None, why)

@@ -16,14 +16,14 @@ both sides' stride lengths agree is seen in Wang et al. (2013), Table 2.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise, permutations
+from typing import NamedTuple
 
 import numpy as np
 
-from fes.analysis.parameters.contacts import Swing
+from fes.analysis.parameters.contacts import Swings
 from fes.estimation.strides.boundaries import UNSEEN_NS
-from fes.signals import NS_PER_S, IntArray, StrideResult
+from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 
 LEAST_STRIDES = 6  # of either foot
 STEADY_SHARE = 0.3  # of the median length
@@ -72,123 +72,93 @@ ROOM_SHARE = 0.7  # of the usual stride time between two strides: room for one; 
 MOST_TURN_RAD = math.radians(20.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
-    """The step that ends a foot's stride, and the stride that its contact ends; s, NaN where it is not known."""
+class Steps(NamedTuple):
+    """The step that ends each of S strides, and the stride that its contact ends: (S,) in s, NaN where not known."""
 
-    stride_time_s: float
-    stance_s: float
-    step_time_s: float
-    double_support_s: float
-    foot_flat_s: float = math.nan
-
-
-def steps_of(
-    own: Sequence[Swing | None], other: Sequence[Swing | None], begins_ns: Sequence[int] | None = None
-) -> list[Step]:
-    """One per stride of one foot, in order; ``other`` are those of the other foot (none: no steps).
-
-    ``begins_ns``: where each stride begins. Where the contact before was not seen, the other foot's that begins a step
-    must be later than that, or else one in between was not seen either.
-    """
-    begins_ns = [-1] * len(own) if begins_ns is None else begins_ns
-    contacts, offs = (
-        np.array(sorted(getattr(s, name) for s in other if s is not None), dtype=np.int64)
-        for name in ("contact_ns", "foot_off_ns")
-    )
-    found = zip(pairwise((None, *own)), begins_ns, strict=True)
-    return [_step(before, swing, begin_ns, contacts, offs) for (before, swing), begin_ns in found]
+    stride_time_s: FloatArray
+    stance_s: FloatArray
+    step_time_s: FloatArray
+    double_support_s: FloatArray
+    foot_flat_s: FloatArray
 
 
-def steps_by_number(
-    strides: Sequence[StrideResult], swings: Mapping[int, Swing], other: Sequence[Swing | None]
-) -> dict[int, Step]:
-    """One per valid stride of one foot, by its number.
+def times_of(strides: Sequence[StrideResult]) -> tuple[IntArray, IntArray, IntArray]:
+    """Numbers, starts and ends (ns) of S strides."""
+    found = np.array([(s.number, s.t_start_ns, s.t_end_ns) for s in strides], np.int64).reshape(-1, 3)
+    return found[:, 0], found[:, 1], found[:, 2]
+
+
+def steps_of(strides: Sequence[StrideResult], own: Swings, other: Swings) -> Steps:
+    """Of each of a foot's valid strides by time; ``other`` are the swings of the other foot (none: no steps).
 
     Where a stride is missing between two (its numbers must not be used, or samples were lost for so long that it was
     not seen: then there is room for one), the contact before is not the one that began the stride: stride time, stance
-    and double support are not known.
+    and double support are not known. Nor is the step, unless the other foot's contact that began it is later than the
+    stride's own beginning, or else one in between was not seen either.
     """
-    starts = np.array([stride.t_start_ns for stride in strides], dtype=np.int64)
-    room_ns = ROOM_SHARE * float(np.median(np.diff(starts))) if len(strides) > 1 else math.inf
-    own: list[Swing | None] = []
-    begins_ns: list[int] = []
-    places: dict[int, int] = {}
-    before: StrideResult | None = None
-    for stride in strides:
-        if before is not None and (
-            stride.number != before.number + 1 or stride.t_start_ns - before.t_end_ns >= room_ns
-        ):
-            own.append(None)
-            begins_ns.append(-1)
-        places[stride.number] = len(own)
-        own.append(swings.get(stride.number))
-        begins_ns.append(stride.t_start_ns)
-        before = stride
-    found = steps_of(own, other, begins_ns)
-    return {number: found[place] for number, place in places.items()}
-
-
-def _step(before: Swing | None, swing: Swing | None, begin_ns: int, contacts: IntArray, offs: IntArray) -> Step:
-    nan = float("nan")
-    if swing is None:
-        return Step(nan, nan, nan, nan)
-    off, end = swing.foot_off_ns, swing.contact_ns
-    begin = before.contact_ns if before is not None else begin_ns
-    stride = (end - begin) / NS_PER_S
-    walking = before is not None and 0.0 < stride <= LONGEST_STRIDE_S
-    last = int(np.searchsorted(contacts, end)) - 1
-    step = (end - int(contacts[last])) / NS_PER_S if last >= 0 else nan
-    missed = last >= 0 and int(contacts[last]) <= begin  # the other foot's step in between was not seen
-    step = step if step <= LONGEST_STRIDE_S and not missed else nan
-    if not walking:
-        return Step(nan, nan, step, nan)
+    number, start_ns, end_ns = times_of(strides)
+    between_ns = start_ns[1:] - end_ns[:-1]
+    room_ns = ROOM_SHARE * float(np.median(np.diff(start_ns))) if len(strides) > 1 else math.inf
+    goes_on = np.zeros(len(strides), np.bool_)
+    goes_on[1:] = (np.diff(number) == 1) & (between_ns < room_ns) & own.seen[:-1]
+    landed, left = np.sort(other.contact_ns[other.seen]), np.sort(other.foot_off_ns[other.seen])
+    begin_ns = np.where(goes_on, _before(own.contact_ns), start_ns)
+    last = np.searchsorted(landed, own.contact_ns) - 1
+    before_ns = np.concatenate(([UNSEEN_NS], landed))[last + 1]
+    step_s = (own.contact_ns - before_ns) / NS_PER_S
+    known = own.seen & (last >= 0) & (step_s <= LONGEST_STRIDE_S) & (before_ns > begin_ns)
+    stride_s = (own.contact_ns - begin_ns) / NS_PER_S
+    walking = own.seen & goes_on & (stride_s > 0.0) & (stride_s <= LONGEST_STRIDE_S)
     # the other foot's swing within this foot's stance: both stand before and after it
-    inside = int(np.searchsorted(offs, begin))
-    support = nan
-    if inside < len(offs) and int(offs[inside]) < off:
-        landed = int(np.searchsorted(contacts, int(offs[inside])))
-        if landed < len(contacts) and int(contacts[landed]) <= off:
-            support = ((int(offs[inside]) - begin) + (off - int(contacts[landed]))) / NS_PER_S
-    assert before is not None
-    flat_s = seconds_between(before.foot_flat_ns, swing.heel_rise_ns)
-    return Step(stride, (off - begin) / NS_PER_S, step, support, flat_s)
+    never = np.iinfo(np.int64).max
+    lifted_ns = np.append(left, never)[np.searchsorted(left, begin_ns)]
+    back_ns = np.append(landed, never)[np.searchsorted(landed, lifted_ns)]
+    both = walking & (lifted_ns < own.foot_off_ns) & (back_ns <= own.foot_off_ns)
+    support_ns = (lifted_ns - begin_ns) + (own.foot_off_ns - back_ns)
+    flat_s = seconds_between(_before(own.foot_flat_ns), own.heel_rise_ns)
+    return Steps(
+        np.where(walking, stride_s, math.nan),
+        np.where(walking, (own.foot_off_ns - begin_ns) / NS_PER_S, math.nan),
+        np.where(known, step_s, math.nan),
+        np.where(both, support_ns / NS_PER_S, math.nan),
+        np.where(walking, flat_s, math.nan),
+    )
 
 
-def seconds_between(begin_ns: int, end_ns: int) -> float:
-    """The time from one instant to another, NaN where one was not seen."""
-    return math.nan if UNSEEN_NS in (begin_ns, end_ns) else (end_ns - begin_ns) / NS_PER_S
+def _before(t_ns: IntArray) -> IntArray:
+    """Of each stride (S,) that of the one before."""
+    return np.concatenate((np.full(min(len(t_ns), 1), UNSEEN_NS), t_ns[:-1]))
+
+
+def seconds_between(begin_ns: IntArray, end_ns: IntArray) -> FloatArray:
+    """The times (S,) from some instants to others, NaN where one of the two was not seen."""
+    return np.where((begin_ns == UNSEEN_NS) | (end_ns == UNSEEN_NS), math.nan, (end_ns - begin_ns) / NS_PER_S)
 
 
 def step_lengths(
     strides: Mapping[str, Sequence[StrideResult]],
-    swings: Mapping[str, Mapping[int, Swing]],
+    swings: Mapping[str, Swings],
     span_ns: tuple[int, int],
     scales: Mapping[str, float],
-) -> tuple[dict[str, dict[int, float]], str]:
-    """Step lengths (m) by foot and stride number; and why there are none, else "".
+) -> tuple[dict[str, FloatArray], str]:
+    """Step lengths (m) of each of a foot's strides, by foot; and why there are none, else "".
 
-    ``strides`` are all of each foot by time, ``span_ns`` the recording's first and last time, ``scales`` those of
-    :func:`equalise_sides`.
+    ``strides`` are all of each foot by time and ``swings`` theirs, ``span_ns`` the recording's first and last time,
+    ``scales`` those of :func:`equalise_sides`.
     """
     why = _untied(strides, span_ns)
-    if why:
-        return {}, why
+    hidden = [foot for foot in strides if not swings[foot].seen.all()]
+    if why or hidden:
+        return {}, why or f"{hidden[0]}: not every stride shows its contact"
     begin, end = min(own[0].t_start_ns for own in strides.values()), max(own[-1].t_end_ns for own in strides.values())
     lengths = {foot: [scales[foot] * stride.stride_length_m for stride in own] for foot, own in strides.items()}
     distances = {foot: np.cumsum([0.0, *own]) for foot, own in lengths.items()}
-    found: dict[str, dict[int, float]] = {}
+    found = {}
     for foot, other in permutations(strides, 2):
-        landed = np.array(sorted(swing.contact_ns for swing in swings[other].values()), dtype=np.int64)
+        contact_ns = swings[foot].contact_ns
         left_over = float(distances[foot][-1] - distances[other][-1])
-        found[foot] = {}
-        if len(landed) != len(strides[other]):
-            return {}, f"{other}: not every stride shows its contact"
-        for k, stride in enumerate(strides[foot]):
-            if swing := swings[foot].get(stride.number):
-                its = int(np.searchsorted(landed, swing.contact_ns))
-                drift = left_over * (swing.contact_ns - begin) / (end - begin)
-                found[foot][stride.number] = float(distances[foot][k + 1] - distances[other][its]) - drift
+        its = distances[other][np.searchsorted(swings[other].contact_ns, contact_ns)]
+        found[foot] = distances[foot][1:] - its - left_over * (contact_ns - begin) / (end - begin)
     return found, ""
 
 

@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from fes.analysis.tables import Table as Columns
     from fes.report.quality import Notice
+
+    Rows = list[dict[str, Any]] | Columns
 
 PIPED_COLUMNS: Final = 110  # where no terminal says how wide it is
 
@@ -53,7 +56,7 @@ def print_json(data: Mapping[str, Any], *, allow_nan: bool = True) -> None:
     click.echo(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=allow_nan))
 
 
-def write_table(rows: list[dict[str, Any]], path: Path) -> None:
+def write_table(rows: Rows, path: Path) -> None:
     """Write flat rows, the format by the suffix; a number that is none becomes empty or null."""
     with TableFile(path) as file:
         file.add(rows)
@@ -88,7 +91,7 @@ class TableFile:
 
             parquet.write_table(pa.table({}), self._path)
 
-    def add(self, rows: list[dict[str, Any]]) -> None:
+    def add(self, rows: Rows) -> None:
         """Write these below what is there."""
         if not rows:
             return

@@ -16,7 +16,7 @@ on the whole, and each stride is shifted to agree, in proportion to time between
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -230,6 +230,16 @@ class FootPaths:
     def longest(self) -> int:
         """Samples of the longest one."""
         return int((self.spans[:, 1] - self.spans[:, 0]).max(initial=0))
+
+    def places(self, numbers: Sequence[int]) -> IntArray:
+        """Where the strides of these numbers (S,), which have to be among them, stand."""
+        found: IntArray = np.searchsorted(self.numbers, np.array(numbers, np.int64))
+        return found
+
+    def chosen(self, places: IntArray) -> "FootPaths":
+        """The paths at these places (S,) alone."""
+        numbers, spans, swings_ns = (each[places] for each in (self.numbers, self.spans, self.swings_ns))
+        return replace(self, numbers=numbers, spans=spans, swings_ns=swings_ns)
 
     def each(self) -> list[FootPath]:
         """The paths, one by one."""

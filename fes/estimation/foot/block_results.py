@@ -17,10 +17,11 @@ from fes.estimation.strides.results import (
 )
 from fes.estimation.strides.segmentation import CHANGES, STRIDES, new_out
 from fes.estimation.tracking.tracker import Outcome
-from fes.signals import FloatArray, StrideResult
+from fes.signals import FloatArray, IntArray, StrideResult
 from statemachine.guards import Features, Thresholds
-from statemachine.machine import GaitPhaseMachine
+from statemachine.machine import GaitPhaseMachine, GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition
+from statemachine.table import TABLE
 
 CHANGE = record_type(  # and what the guard saw
     [
@@ -31,6 +32,8 @@ CHANGE = record_type(  # and what the guard saw
     ]
 )
 USUAL_STRIDES = 25  # in a history of twenty seconds
+_PHASES = {row.transition: (row.source, row.destination) for row in TABLE}
+SOURCES, DESTINATIONS = np.array([_PHASES.get(which, (Phase.STANCE,) * 2) for which in Transition], np.int64).T
 
 
 class TrackedBlock:
@@ -84,6 +87,20 @@ class TrackedBlock:
             else machine.restart(t_ns)
             for t_ns, number, seen, limits in self.transitions[: self._stored].tolist()
         ]
+
+    def change_columns(self) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+        """Of the C phase changes the times, the transitions, from where and to where they led: (C,) of numbers each.
+
+        Raises:
+            GuardDisagreement: one of them leaves another phase than the one before has led to.
+        """
+        found = self.transitions[: self._stored]
+        number = found["transition"].copy()
+        to = DESTINATIONS[number]
+        source = np.concatenate(([int(self._phase)], to))[: len(to)]
+        if ((number != Transition.NONE) & (source != SOURCES[number])).any():
+            raise GuardDisagreement(f"{self._foot}: a transition leaves a phase in which the foot was not")
+        return found["t_ns"].copy(), number, source, to
 
     @property
     def rows(self) -> Rows:

@@ -7,9 +7,11 @@ of a session's strides (:data:`LIVE_TABLE`), and the table in ``docs/strides.md`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fes.signals import StrideResult
 
@@ -109,6 +111,9 @@ LIVE_TABLE: Final = tuple(
 )
 _DTYPES: Final[dict[type, Any]] = {int: np.int64, float: np.float64}
 STRIDE: Final = np.dtype([(column.name, _DTYPES[column.kind]) for column in COLUMNS if column.core], align=True)
+_TABLE_DTYPES: Final[dict[str, Any]] = {
+    c.name: object if c.kind is str else np.bool_ if c.kind is bool else _DTYPES[c.kind] for c in TABLE
+}
 _SHOWN: Final = [
     (column.name, column.in_table().name, column.unit == "ns")
     for column in COLUMNS
@@ -123,6 +128,15 @@ def table_row(stride: StrideResult) -> dict[str, Any]:
         value = getattr(stride, name)
         row[shown] = 1e-9 * value if is_time and value is not None else value
     return row
+
+
+def table_columns(strides: Sequence[StrideResult]) -> dict[str, npt.NDArray[Any]]:
+    """The same of S strides, (S,) each; a time that one has not is NaN."""
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for name, shown, is_time in _SHOWN:
+        values = [getattr(stride, name) for stride in strides]
+        columns[shown] = 1e-9 * np.array(values, np.float64) if is_time else np.array(values, _TABLE_DTYPES[shown])
+    return columns
 
 
 def markdown() -> str:

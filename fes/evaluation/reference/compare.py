@@ -63,11 +63,10 @@ def from_analysis(analysis: Analysis) -> Estimate:
     """Off-line: strides with the whole recording, IC and FO found backwards and forwards."""
     events: dict[str, dict[str, FloatArray]] = {}
     strike: dict[str, tuple[FloatArray, FloatArray]] = {}
-    rows = analysis.event_rows()
+    told = analysis.event_table()
     for foot, found in analysis.events.items():
         events[foot] = {"IC": 1e-9 * found.ic_ns.astype(float), "FO": 1e-9 * found.fo_ns.astype(float)}
-        mine = [(row["t_initial_contact_s"], row["foot_strike_angle_rad"]) for row in rows if row["foot"] == foot]
-        times, angles = np.array(mine, dtype=float).reshape(-1, 2).T
+        times, angles = (told[name][told["foot"] == foot] for name in ("t_initial_contact_s", "foot_strike_angle_rad"))
         strike[foot] = times, angles
     for sensor in {change.foot for change in analysis.phases} - set(analysis.events):
         events[foot_of(sensor)] = _of_phases(analysis.phases, sensor)

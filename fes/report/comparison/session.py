@@ -11,11 +11,15 @@ from typing import Final
 
 import numpy as np
 
+from fes.analysis.parameters.contacts import no_swings
+from fes.analysis.parameters.definitions import STRIDE_KEYS
 from fes.analysis.parameters.gait import gait_parameters
-from fes.analysis.parameters.steps import steps_by_number
-from fes.analysis.parameters.strides import StrideParameters, stride_parameters
+from fes.analysis.parameters.motion import pitches
+from fes.analysis.parameters.steps import steps_of
+from fes.analysis.parameters.strides import motion_of, stride_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
+from fes.analysis.tables import Table
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
 from fes.recording import Recording, RecordingError, Track, read_recording
@@ -194,23 +198,23 @@ def _made(
     return ComparedSession(label, str(path), how, summary, sides, share, toe, rates_hz)
 
 
-def by_phases(analysis: Analysis) -> dict[str, list[StrideParameters]]:
+def by_phases(analysis: Analysis) -> dict[str, Table]:
     """By foot, the parameters with the times of the phases: foot off is T2, contact T3. Step lengths are left out."""
-    feet = {foot: [s for s in analysis.strides if s.foot == foot and s.valid] for foot in analysis.stride_paths}
+    feet = {foot: [s for s in analysis.strides if s.foot == foot and s.valid] for foot in analysis.blocks}
     swings = {foot: swings_by_phases(own) for foot, own in feet.items()}
     found = {}
     for foot, own in feet.items():
-        others = [swing for name, every in swings.items() if name != foot for swing in every.values()]
-        steps = steps_by_number(own, swings[foot], others)
-        paths = {path.number: path for path in analysis.stride_paths[foot]}
-        found[foot] = stride_parameters(own, paths, swings[foot], steps, {})
+        other = next((swings[name] for name in feet if name != foot), no_swings(0))
+        paths = analysis.blocks[foot].paths()
+        chosen = paths.chosen(paths.places([stride.number for stride in own]))
+        motion = motion_of(own, chosen, pitches(paths), swings[foot])
+        found[foot] = stride_parameters(own, motion, swings[foot], steps_of(own, swings[foot], other))
     return found
 
 
-def _steady(found: Sequence[StrideParameters]) -> dict[str, FloatArray]:
-    steady = [one for one in found if one.steady]
-    keys = steady[0].values if steady else ()
-    return {key: np.array([one.values[key] for one in steady]) for key in keys}
+def _steady(found: Table) -> dict[str, FloatArray]:
+    steady = found[found["steady"]]
+    return {key: steady[key] for key in STRIDE_KEYS} if len(steady) else {}
 
 
 def with_the_same_timing(sessions: Sequence[ComparedSession]) -> tuple[list[ComparedSession], str]:
