@@ -8,7 +8,7 @@ WHEEL := .venv-wheel
 PYTHONS ?= python3.11 python3.12 python3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test test-slow test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs docs-site trials lock \
+.PHONY: help hil demo test test-slow test-live lint format bench bench-figures bench-accuracy figures figures-check figures-all peers nightly mutants hazards docs docs-site trials lock \
   wheel-test test-pythons clean
 
 help:
@@ -22,6 +22,9 @@ help:
 	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about 10 minutes)"
 	@echo "make bench-figures  the figures of docs/accuracy.md: bundled trials, and recordings in FES_DATA or ../shared/data"
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
+	@echo "make figures  render the figures of docs/ from benchmarks/results/ and the program's constants"
+	@echo "make figures-check  measure the quick ones again; an error if one has moved or a page is out of date"
+	@echo "make figures-all  measure all of them again, and render"
 	@echo "make hil      the whole fault campaign on every transport of this machine; takes hours"
 	@echo "make docs     regenerate the generated parts of docs/"
 	@echo "make docs-site  the documentation as a site, notebooks run, links checked, off-line: out/site/index.html (about 2 minutes)"
@@ -88,7 +91,7 @@ format: $(VENV)/dev.stamp
 	$(BIN)/ruff format .
 
 bench: $(VENV)/dev.stamp $(PEERS)/peers.stamp
-	$(BIN)/python benchmarks/speed_table.py --peers $(PEERS)/bin/python --write
+	$(BIN)/python benchmarks/speed_table.py --peers $(PEERS)/bin/python --keep; $(BIN)/python benchmarks/figures.py
 
 bench-figures: $(VENV)/dev.stamp
 	$(BIN)/python benchmarks/bundled_trials.py
@@ -106,6 +109,16 @@ bench-figures: $(VENV)/dev.stamp
 
 bench-accuracy: $(VENV)/dev.stamp $(PEERS)/peers.stamp
 	$(BIN)/python benchmarks/accuracy_table.py --peers $(PEERS)/bin/python
+
+# What a page says of figures is rendered from benchmarks/results/; benchmarks/figures.py says how.
+figures: $(VENV)/dev.stamp
+	$(BIN)/python benchmarks/figures.py
+
+figures-check: $(VENV)/dev.stamp
+	$(BIN)/python benchmarks/figures.py --check
+
+figures-all: $(VENV)/dev.stamp $(PEERS)/peers.stamp
+	$(BIN)/python benchmarks/figures.py --all
 
 # The libraries we compare with: an environment of their own, never part of the product.
 peers: $(PEERS)/peers.stamp
@@ -150,7 +163,8 @@ hil: $(VENV)/run.stamp
 	  done; \
 	done; \
 	$(BIN)/fes hil --only random_frames --repeat 16 || worst=$$?; \
-	$(BIN)/python benchmarks/hil_table.py out/hil-*/hil.json; exit $$worst
+	$(BIN)/python benchmarks/hil_table.py out/hil-*/hil.json --json benchmarks/results/hil.json && \
+	  $(BIN)/python benchmarks/figures.py; exit $$worst
 
 trials: $(VENV)/run.stamp
 	$(BIN)/fes trials sim_inputs

@@ -2,8 +2,7 @@
 
 Rows are faults, columns transports. A cell holds the worst time from the fault to the end of the stimulator's output,
 for how long of it current flowed in a true stance, at most, where it did, and how many attempts were as required and in
-time; campaigns on the same transport are taken together. With ``--write
-FILE`` it is put between that file's marks.
+time; campaigns on the same transport are taken together. With ``--json FILE`` it is kept for `make figures`.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from figures import Figures, Result, machine
+
 from fes.hil.scenarios import SCENARIOS
 
-BEGIN: Final = "<!-- campaign: written by benchmarks/hil_table.py -->"
-END: Final = "<!-- end of campaign -->"
 ORDER: Final = {scenario.name: number for number, scenario in enumerate(SCENARIOS)}
 KEYS: Final = ("transport", "started", "seconds", "baseline", "rows")
 
@@ -71,8 +70,8 @@ class Line:
     cells: dict[str, Cell] = field(default_factory=dict)
 
 
-def merged(campaigns: Sequence[dict[str, Any]]) -> str:
-    """The table and, below it, what each campaign was; Markdown."""
+def merged(campaigns: Sequence[dict[str, Any]]) -> Result:
+    """The table, and what each campaign was."""
     transports = list(dict.fromkeys(campaign["transport"] for campaign in campaigns))
     lines: dict[str, Line] = {}
     for campaign in campaigns:
@@ -80,11 +79,12 @@ def merged(campaigns: Sequence[dict[str, Any]]) -> str:
             deadline = "–" if row["deadline_ms"] is None else f"{row['deadline_ms']:g} ms"
             line = lines.setdefault(row["name"], Line(row["fault"], deadline))
             line.cells.setdefault(campaign["transport"], Cell()).add(row)
-    table = ["| fault | off within | " + " | ".join(transports) + " |", "|---" * (2 + len(transports)) + "|"]
-    for _, line in sorted(lines.items(), key=lambda named: ORDER.get(named[0], len(ORDER))):
-        cells = [str(line.cells.get(transport, "")) for transport in transports]
-        table.append(f"| {line.fault.replace('|', '/')} | {line.deadline} | " + " | ".join(cells) + " |")
-    return "\n".join([*table, "", *(_campaign(campaign) for campaign in campaigns), ""])
+    rows = [
+        [line.fault.replace("|", "/"), line.deadline, *(str(line.cells.get(each, "")) for each in transports)]
+        for _, line in sorted(lines.items(), key=lambda named: ORDER.get(named[0], len(ORDER)))
+    ]
+    table = Figures("", ["fault", "off within", *transports], rows)
+    return Result("make hil", [table], machine=machine(), notes=[_campaign(campaign) for campaign in campaigns])
 
 
 def _campaign(campaign: dict[str, Any]) -> str:
@@ -93,7 +93,7 @@ def _campaign(campaign: dict[str, Any]) -> str:
     unasked = len(campaign.get("unasked", ()))
     attempts = sum(len(row["attempts"]) for row in campaign["rows"])
     return (
-        f"- {campaign['transport']}, {campaign['started'][:16].replace('T', ' ')}: {attempts} attempts in "
+        f"{campaign['transport']}, {campaign['started'][:16].replace('T', ' ')}: {attempts} attempts in "
         f"{campaign['seconds'] / 60:.0f} minutes; idle loop late by p99 {baseline['p99_ms']:g}, p99.9 "
         f"{baseline['p999_ms']:g}, at most {baseline['most_ms']:g} ms; machine away {away} times; off without a fault "
         f"{unasked} times."
@@ -116,35 +116,20 @@ def read(path: Path) -> dict[str, Any]:
     return data
 
 
-def written(page: str, table: str) -> str:
-    """The page with the table between its marks.
-
-    Raises:
-        Unusable: the page has no such marks.
-    """
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise Unusable(f"the page has no lines {BEGIN} and {END}")
-    return f"{before}{BEGIN}\n\n{table}\n{END}{after}"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print or write the table; exit status 2 when a file cannot be used."""
     parser = argparse.ArgumentParser(description="One table of several fault campaigns.")
     parser.add_argument("results", nargs="+", type=Path, help="hil.json files, one per campaign")
-    parser.add_argument("--write", type=Path, help="put it between this page's marks instead of printing it")
+    parser.add_argument("--json", type=Path, help="keep it here, for `make figures`")
     options = parser.parse_args(arguments)
     try:
-        table = merged([read(path) for path in options.results])
-        if options.write is None:
-            print(table, end="")
-        else:
-            page = options.write.read_text(encoding="utf-8")
-            options.write.write_text(written(page, table), encoding="utf-8")
-    except (Unusable, OSError) as error:
+        result = merged([read(path) for path in options.results])
+    except Unusable as error:
         print(f"hil_table: {error}", file=sys.stderr)
         return 2
+    print(result.markdown())
+    if options.json is not None:
+        result.keep(options.json)
     return 0
 
 

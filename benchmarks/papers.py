@@ -1,6 +1,7 @@
-"""The tables of the four papers, their published values beside ours; writes the tables of docs/paper_tables.md.
+"""The tables of the four papers, their published values beside ours: docs/paper_tables.md.
 
-    python benchmarks/papers.py [--write docs/paper_tables.md] [--json FILE]
+    python benchmarks/papers.py --simulated [--json FILE]    Negård et al., on the bundled trials
+    python benchmarks/papers.py [--json FILE]                the other three
 
 Negård et al.: the bundled trials imitate their two patients (simulated: the same set-up, not the same people), held
 against the bundled 25 Hz ultrasonic reference in the lab's frame by Eq. (21) and (22), as `fes evaluate` does. Kumar et
@@ -11,14 +12,14 @@ real recordings lie in $FES_DATA, else in ../shared/data; without them their tab
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from ankle import evaluate as shanks_of
+from command_line import parser_of
+from figures import Figures, Result, digest
 from stroke_treadmill import LAST_S, data_folder
 
 from fes.analysis.parameters.gait import gait_parameters
@@ -33,7 +34,6 @@ from fes.recording import Recording, read_recording
 from fes.simulation.truth import Truth, load_truth
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
-BEGIN, END = "<!-- tables: benchmarks/papers.py -->", "<!-- end of the tables -->"
 Cells = list[list[str]]
 PHASES = ("pre_swing", "swing", "loading_response", "stance")
 WANG = {
@@ -60,12 +60,7 @@ def analysed(recording: Recording) -> Analysis:
     return analyse(recording, found.calibrations)
 
 
-def table(title: str, head: list[str], rows: Cells) -> str:
-    lines = [" | ".join(cells) for cells in (head, ["---"] * len(head), *rows)]
-    return f"### {title}\n\n" + "\n".join(f"| {line} |" for line in lines) + "\n"
-
-
-def negard() -> list[str]:
+def negard() -> list[Figures]:
     published = {"length": (("3.63", "1.65"), ("1.74", "3.32")), "clearance": (("0.30", "0.38"), ("0.50", "1.30"))}
     what_of = {"length": "stride length, cm", "clearance": "clearance, cm"}
     errors, phases = [], []
@@ -84,12 +79,12 @@ def negard() -> list[str]:
         if k == 1:
             phases = phase_durations(analysis, load_truth(TRIALS / f"{name}.parquet"))
     head = ["patient", "error", "published mean", "published SD", "our mean", "our SD", "limits", "ICC", "n"]
-    first = table(
+    first = Figures(
         "Negård et al., Table 2: errors against the ultrasonic reference (theirs: patients; ours: simulated)",
         head,
         errors,
     )
-    second = table(
+    second = Figures(
         "Negård et al., Table 1: phase durations, patient 2", ["", "pre-swing", "swing", "loading", "stance"], phases
     )
     return [second, first]
@@ -125,7 +120,7 @@ def means_and_spreads(who: str, begins: Sequence[Sequence[float | None]]) -> Cel
     ]
 
 
-def kumar(folder: Path) -> list[str]:
+def kumar(folder: Path) -> list[Figures]:
     imported = read_file("gaitmap", folder / "gaitmap_walk" / "imu_sample.csv")
     rows = list(imported.references[".events.csv"][1])
     events = tuple(sorted(ReferenceEvent(float(t), str(foot), str(what)) for foot, what, t in rows))
@@ -134,7 +129,7 @@ def kumar(folder: Path) -> list[str]:
     missed = sum(count.missed for count in result.counts)
     extra = sum(count.extra for count in result.counts)
     title = f"Kumar et al. (no figures printed): IC and FO off-line, gaitmap; {missed} missed, {extra} extra"
-    return [table(title, ["quantity, ms", "n", "mean", "SD", "limits"], cells)]
+    return [Figures(title, ["quantity, ms", "n", "mean", "SD", "limits"], cells)]
 
 
 def spread(row: AgreementRow, digits: int) -> list[str]:
@@ -149,7 +144,7 @@ def runs(folder: Path) -> list[Path]:
     return [path for path in paths if np.isfinite(float(np.load(path)["belt_speed"]))]
 
 
-def wu(folder: Path, feet: dict[str, float]) -> list[str]:
+def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
     rows: Cells = []
     columns: list[list[float]] = []
     for path in runs(folder):
@@ -162,10 +157,10 @@ def wu(folder: Path, feet: dict[str, float]) -> list[str]:
     rows.append([f"ours, mean of {len(values)} sides of stroke survivors", *(f"{v:.2f}" for v in values.mean(axis=0))])
     rows.append(["ours, worst side", *(f"{v:.2f}" for v in values.max(axis=0))])
     head = ["error of the distance, %", "ankle, ZUPT", "ankle, non-ZUPT", "foot (theirs: ZUPT; ours: as `fes analyse`)"]
-    return [table("Wu et al., Table I: level walking (theirs over ground; ours on a belt)", head, rows)]
+    return [Figures("Wu et al., Table I: level walking (theirs over ground; ours on a belt)", head, rows)]
 
 
-def wang(folder: Path) -> tuple[list[str], dict[str, float]]:
+def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
     errors: dict[str, float] = {}
     parameters: Cells = []
     for path in runs(folder):
@@ -199,8 +194,8 @@ def wang(folder: Path) -> tuple[list[str], dict[str, float]]:
     ]
     published = [[cell.strip() for cell in line.split(",")] for line in PUBLISHED_WANG.strip().splitlines()]
     texts = [
-        table("Wang et al.: absolute error of the distance, %", ["", "mean ± SD"], distance),
-        table(
+        Figures("Wang et al.: absolute error of the distance, %", ["", "mean ± SD"], distance),
+        Figures(
             "Wang et al., Table 2: parameters (H healthy, A afflicted side; ours: the runs FBIC)",
             ["walk", "side", *(name for name, _, _ in WANG.values())],
             published + parameters,
@@ -210,28 +205,28 @@ def wang(folder: Path) -> tuple[list[str], dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 0 with all of them, 3 without the real recordings."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", type=Path, help="put the tables between the marks of this page")
-    parser.add_argument("--json", type=Path, help="write the texts here as well")
-    options = parser.parse_args(arguments)
+    """Print the tables; 3 without the recordings that they take."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--simulated", action="store_true", help="those of the bundled trials")
+    given = parser.parse_args(arguments)
     folder = data_folder()
-    texts = negard()
-    there = (folder / "gaitmap_walk").is_dir() and bool(runs(folder))
-    if there:
-        texts += kumar(folder)
+    if given.simulated:
+        command, tables = "python benchmarks/papers.py --simulated", negard()
+        data = {"sim_inputs/negard_*": digest(TRIALS.glob("negard_*"))}
+    elif (folder / "gaitmap_walk").is_dir() and runs(folder):
         of_wang, errors = wang(folder)
-        texts += [*wu(folder, errors), *of_wang]
-    print("\n".join(texts))
-    if options.json:
-        options.json.write_text(json.dumps(texts, indent=1, ensure_ascii=False))
-    if options.write:
-        page = options.write.read_text(encoding="utf-8")
-        before, after = page.split(BEGIN)[0], page.split(END)[1]
-        options.write.write_text(f"{before}{BEGIN}\n\n" + "\n".join(texts) + f"\n{END}{after}", encoding="utf-8")
-    if not there:
+        command, tables = "python benchmarks/papers.py", [*kumar(folder), *wu(folder, errors), *of_wang]
+        data = {
+            "gaitmap_walk": digest((folder / "gaitmap_walk").glob("*.csv")),
+            "stroke_treadmill": digest(runs(folder)),
+        }
+    else:
         print(f"No gaitmap_walk and stroke_treadmill in {folder}; set FES_DATA.", file=sys.stderr)
         return 3
+    result = Result(command, tables, data)
+    print(result.markdown())
+    if given.json is not None:
+        result.keep(given.json)
     return 0
 
 

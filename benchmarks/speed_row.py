@@ -1,12 +1,11 @@
-"""One figure of the speed table, and the table for people, for programs and for the docs."""
+"""One figure of the speed table, and the table for people."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -32,17 +31,6 @@ class Row:
         if self.bar is None:
             return None
         return self.value >= self.bar if self.higher else self.value <= self.bar
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        value = None if self.value != self.value else self.value
-        return {**asdict(self), "value": value, "met": self.met}
-
-    @staticmethod
-    def from_json(values: dict[str, Any]) -> Row:
-        """Back from :meth:`to_json`."""
-        value = float("nan") if values["value"] is None else values["value"]
-        return Row(**{**{name: values[name] for name in Row.__dataclass_fields__}, "value": value})
 
     def cells(self) -> list[str]:
         """What, figure, bar, met, note as text."""
@@ -71,14 +59,3 @@ def print_rows(rows: Sequence[Row], title: str) -> int:
             table.add_row(*row.cells(), style="red" if row.met is False else "")
     Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS).print(table)
     return int(any(row.met is False for row in rows))
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """A table for the docs, one section a group."""
-    parts = []
-    for group, members in groupby(rows, lambda row: row.group):
-        parts.append(
-            f"\n### {group[:1].upper()}{group[1:]}\n\n| what | figure | bar | met | |\n|---|---|---|---|---|\n"
-        )
-        parts += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row.cells()) + " |\n" for row in members]
-    return "".join(parts).lstrip("\n")

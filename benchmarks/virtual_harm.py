@@ -1,15 +1,16 @@
 """What harms the virtual patient: bursts of different strength and onset, and what is counted of them.
 
-python benchmarks/virtual_harm.py [--write docs/virtual_patient_figures.md]
+python benchmarks/virtual_harm.py [--json FILE]
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from statistics import median
+
+from command_line import parser_of
+from figures import Figures, Result
 
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride, harm_of, settings_for
@@ -18,10 +19,9 @@ STEP_NS = 10_000_000
 SECONDS, SKIPPED = 40.0, 6
 AFTER_CONTACT_S, WIDTH_US, RATE_HZ = 0.1, 300.0, 40.0
 BURSTS = ((0.0, 0.0), (20.0, 0.0), (20.0, 0.25), (32.0, 0.0), (32.0, 0.25))  # mA, s after heel rise
-BEGIN, END = "<!-- harm: benchmarks/virtual_harm.py -->", "<!-- end of harm -->"
 HEAD = (
-    "| severity | burst | toe-down at foot off | toe clearance | push-off lost | early bursts | inversion at contact "
-    "| over 5° | spasms | co-contraction | charge |"
+    *("severity", "burst", "toe-down at foot off", "toe clearance", "push-off lost", "early bursts"),
+    *("inversion at contact", "over 5°", "spasms", "co-contraction", "charge"),
 )
 
 
@@ -45,36 +45,34 @@ def strides_of(severity: str, current_ma: float, onset_s: float) -> list[Virtual
     return [one for one in patient.strides if one.foot == foot and one.walking][SKIPPED:]
 
 
-def lines() -> Iterator[str]:
-    """The table's lines."""
-    yield HEAD
-    yield "|" + "---|" * (HEAD.count("|") - 1)
+def rows() -> Iterator[list[str]]:
+    """The table's."""
     for severity in ("moderate", "severe"):
         for current_ma, onset_s in BURSTS:
             strides = strides_of(severity, current_ma, onset_s)
             harm = harm_of(strides)
-            burst = f"{current_ma:g} mA, {onset_s:g} s after heel rise" if current_ma else "none"
-            yield (
-                f"| {severity} | {burst} "
-                f"| {-math.degrees(median(one.pitch_at_foot_off_rad for one in strides)):.1f}° "
-                f"| {1e3 * median(one.toe_clearance_m for one in strides):.0f} mm | {harm.push_off_lost:.0%} "
-                f"| {harm.early_bursts} of {harm.strides} "
-                f"| {math.degrees(median(one.inversion_at_contact_rad for one in strides)):.1f}° "
-                f"| {harm.inverted_contacts} | {harm.spasms} | {harm.co_contraction_nms:.2f} N·m·s "
-                f"| {harm.charge_uc:.0f} µC |"
-            )
+            yield [
+                severity,
+                f"{current_ma:g} mA, {onset_s:g} s after heel rise" if current_ma else "none",
+                f"{-math.degrees(median(one.pitch_at_foot_off_rad for one in strides)):.1f}°",
+                f"{1e3 * median(one.toe_clearance_m for one in strides):.0f} mm",
+                f"{harm.push_off_lost:.0%}",
+                f"{harm.early_bursts} of {harm.strides}",
+                f"{math.degrees(median(one.inversion_at_contact_rad for one in strides)):.1f}°",
+                f"{harm.inverted_contacts}",
+                f"{harm.spasms}",
+                f"{harm.co_contraction_nms:.2f} N·m·s",
+                f"{harm.charge_uc:.0f} µC",
+            ]
 
 
 def main() -> None:
-    """Print the table; put it into a page where asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", type=Path, help="put the table between the markers of this page")
-    asked = parser.parse_args()
-    text = "\n".join(lines())
-    print(text)
-    if asked.write is not None:
-        before, rest = asked.write.read_text(encoding="utf-8").split(BEGIN)
-        asked.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    """Print the table; keep it where asked."""
+    given = parser_of(__doc__).parse_args()
+    result = Result("python benchmarks/virtual_harm.py", [Figures("", HEAD, list(rows()))])
+    print(result.markdown())
+    if given.json is not None:
+        result.keep(given.json)
 
 
 if __name__ == "__main__":
