@@ -27,13 +27,15 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from closed_loop_walk import walk
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, verdict
 from every_walker import SETS, Foot, calibrate, feet_of, swings_of
+from figures import Figures
+from figures import Result as Kept
 from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import in_order
@@ -341,26 +343,50 @@ def times_of(changes: Iterable[PhaseChange], kind: Transition) -> IntArray:
 # --- the table --------------------------------------------------------------------------------------------------------
 
 
-def table_of(results: Sequence[Result]) -> Table:
-    groups: dict[tuple[str, str], list[Result]] = defaultdict(list)
+def tables_of(results: Sequence[Result]) -> list[Figures]:
+    """Of what was planted, by kind of walker; and of the walks as they are, by set."""
+    planted, sound = defaultdict[tuple[str, str], list[Result]](list), defaultdict[str, list[Result]](list)
     for one in results:
-        groups[one.case, one.group].append(one)
-    table = Table(
-        "case", "set", "feet", "strides", "named", "per 1,000", f"within {WITHIN}", "median", "worst, or never",
-        "bursts", "unwatched",
-    )  # fmt: skip
-    for (case, group), own in sorted(groups.items()):
-        strides, count = sum(one.strides for one in own), sum(one.namings for one in own)
-        row = [case, group, str(len(own)), str(strides), str(sum(one.namings > 0 for one in own))]
-        bursts = [str(sum(getattr(one, name) for one in own)) for name in ("bursts", "unwatched")]
-        if case in ("sound", INTENDED):
-            table.add_row(*row, f"{1e3 * count / max(strides, 1):.2f}", "", "", "", *bursts)
-            continue
-        later = [one.later for one in own if one.later >= 0]
+        name = one.group.split(",")[0]
+        if one.case in ("sound", INTENDED):
+            health = one.group.rpartition(", ")[2] if name == "stroke_walks" else one.case * (name == "virtual")
+            sound[f"{name}, {health}" if health else name].append(one)
+        else:
+            kind = name if name in ("stroke_treadmill", "virtual") else "other real feet"
+            planted[one.case, kind].append(one)
+    rows = []
+    for (case, kind), own in sorted(planted.items()):
         soon = 100.0 * np.mean([0 <= one.later <= WITHIN for one in own])
-        worst = f"{max(later, default=0)}; {len(own) - len(later)} never"
-        table.add_row(*row, "", f"{soon:.1f} %", f"{np.median(later):.0f}" if later else "–", worst, *bursts)
-    return table
+        later = [one.later for one in own if one.later >= 0]
+        bursts = (f"{sum(getattr(one, name) for one in own):,}" for name in ("bursts", "unwatched"))
+        never = str(len(own) - len(later))
+        rows.append([case, kind, str(len(own)), f"{soon:.1f}", str(max(later, default=0)), never, *bursts])
+    told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
+    rows.append([", ".join(PLANTED), "all together", str(len(told)), f"{100.0 * np.mean(told):.1f}", "", "", "", ""])
+    as_they_are = []
+    for name, own in sorted(sound.items()):
+        strides, namings = sum(one.strides for one in own), sum(one.namings for one in own)
+        kept_back = sum(one.unwatched - one.bursts for one in own)
+        rate = f"{1e3 * namings / max(strides, 1):.2f}"
+        as_they_are.append([name, str(len(own)), f"{strides:,}", str(namings), rate, str(kept_back)])
+    return [
+        Figures(
+            "Planted",
+            ["planted", "walkers", "feet", f"within {WITHIN} strides, %", "latest", "never", "bursts", "without"],
+            rows,
+        ),
+        Figures("As they are", ["set", "feet", "strides", "namings", "per 1,000", "bursts kept back"], as_they_are),
+    ]
+
+
+def named_by_mistake(results: Iterable[Result]) -> list[str]:
+    """The walks as they are in which a foot was named, and why."""
+    return [
+        f"{one.group}, {one.who}: {one.namings} in {one.strides} strides, of which {100 * one.ordered:.0f} % are in "
+        f"order; {one.words[0]}"
+        for one in results
+        if one.namings and one.case in ("sound", INTENDED)
+    ]
 
 
 def main() -> int:
@@ -370,18 +396,12 @@ def main() -> int:
     options = parser.parse_args()
     console = console_of(150)
     results = [*real(feet_of(options.data, options.only)), *virtual(options.patients)]
-    console.print(table_of(results))
-    console.print("Sound feet that were named:")
-    for one in results:
-        if one.namings and one.case in ("sound", INTENDED):
-            console.print(
-                f"  {one.case} {one.group}, {one.who}: {one.namings} of {one.strides} strides; "
-                f"{100 * one.ordered:.0f} % in order; {one.words[0]}",
-                highlight=False,
-            )
+    kept = Kept("python benchmarks/disorder.py", tables_of(results), notes=named_by_mistake(results))
+    print(kept.markdown())
+    if options.json is not None:
+        kept.keep(options.json)
     if "stroke_treadmill" in options.only:
         console.print(fallback(feet_of(options.data, ["stroke_treadmill"])))
-    save([asdict(one) for one in results], options.json)
     told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
     return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt), several=True)

@@ -196,6 +196,7 @@ QUICK: dict[str, Sequence[str]] = {"papers-simulated": ("papers.py", "--simulate
 LONG: dict[str, Sequence[str]] = {
     "papers": ("papers.py",),
     "harm": ("virtual_harm.py",),
+    "disorder": ("disorder.py",),
     **{
         f"speed-{part}": ("speed_table.py", "--only", part)
         for part in ("analysis", "live", "peers", "growth", "session", "cohort")
