@@ -189,7 +189,7 @@ def warped(one: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
 
 @jit_ieee
 def _warp(one: Vec, other: Vec, cost: Mat, pairs: Mat) -> int:
-    """Fill the last rows of ``pairs`` (N + M, 2) with the pairs of the cheapest warp, and return the first of these rows.
+    """Fill the last rows of ``pairs`` (N + M, 2) with those of the cheapest warp, and return the first of these rows.
 
     The cost of a pair is its distance and that of the cheapest way to it. Pairs with the same sum of numbers do not
     wait for one another and are taken together, which is several times as fast: row ``i + j`` of ``cost`` (N + M,
