@@ -288,9 +288,9 @@ def find_bursts(
     if timeline is not None and info.phases:
         if info.foreseen and timeline.start_ns.size:
             # early is what begins in the phase before, until the foot leaves that one or the start proves false
-            at = np.maximum(np.searchsorted(timeline.start_ns, start_ns, side="right") - 1, 0)
-            may_ns = np.minimum(np.minimum(start_ns + FALSE_NS, end_ns), timeline.end_ns[at])
-            before = timeline.phase[at] == (int(info.phases[0]) - 1) % len(PHASE_ORDER)
+            span = np.maximum(np.searchsorted(timeline.start_ns, start_ns, side="right") - 1, 0)
+            may_ns = np.minimum(np.minimum(start_ns + FALSE_NS, end_ns), timeline.end_ns[span])
+            before = timeline.phase[span] == (int(info.phases[0]) - 1) % len(PHASE_ORDER)
             early = ~by_hand & before & ((may_ns - start_ns) / NS_PER_S > HARDLY_S)
             judged_ns = np.where(early, may_ns, judged_ns)
         outside_s = (end_ns - judged_ns) / NS_PER_S - timeline.time_in(info.phases, judged_ns, end_ns)
