@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -10,6 +10,34 @@ from fes.signals import FloatArray, IntArray, OperatorAct, StimAlive, StimComman
 from statemachine.phases import PhaseChange
 
 SEVERITIES = ("info", "warning", "fault")
+Level = Literal["good", "info", "warning", "alert"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found, as a sentence: ``alert`` is what must be looked at before the numbers are used.
+
+    Attributes:
+        level: how much it matters.
+        text: all of it, for people.
+        leads: it stands on the first page, right after what must be looked at.
+        code: what kind it is, for programs; "" of what is no fault of a sensor.
+        sensor: whose.
+        cause: the physical cause, without the sensor's name.
+        effect: what it does to which numbers, and by how much.
+        remedy: what to do about it.
+        corrected: the numbers are those without it.
+    """
+
+    level: Level
+    text: str
+    leads: bool = False
+    code: str = ""
+    sensor: str = ""
+    cause: str = ""
+    effect: str = ""
+    remedy: str = ""
+    corrected: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +86,7 @@ class WalkRecord:
     and ranges, the calibrations. ``commands`` and what follows are empty where nothing was stimulated. ``complete`` is
     False where the end is missing; ``lost`` says what that cost, "" if nothing. ``own_ns`` of a part of a longer walk:
     phases and strides are of what is newer than the first, up to the second; samples are of what lies around it, too.
+    ``findings`` are of whoever examined the sensors.
     ``live`` of an analysis, whose phases are at their off-line instants: phases and strides as the live machine has
     them.
     """
@@ -79,3 +108,4 @@ class WalkRecord:
     lost: str = ""
     own_ns: tuple[int, int] | None = None
     live: tuple[list[PhaseChange], list[StrideResult]] | None = None
+    findings: tuple[Finding, ...] = ()

@@ -22,7 +22,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("fes.walk_record",),
     ("fes.estimation", "fes.stimulation", "fes.session_log", "fes.gate"),
     ("fes.recording",),
-    ("fes.control", "fes.simulation", "fes.datasets"),
+    ("fes.control", "fes.simulation", "fes.datasets", "fes.witness"),
     ("fes.calibration", "drivers"),
     ("fes.analysis", "fes.live", "drivers.simulated"),
     ("fes.evaluation", "fes.hil"),

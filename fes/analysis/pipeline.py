@@ -3,7 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from fes.analysis.examination import key_numbers, without_lies
 from fes.analysis.ground_path import GroundPath, continued, ground_path, without_relative_drift
 from fes.analysis.methods import CausalEvents, Methods
 from fes.analysis.results import Analysis
@@ -32,6 +34,7 @@ from fes.recording import Recording, Track
 from fes.recording.chunks import Chunk
 from fes.recording.tracks import UNLABELLED_FEET, newer_samples
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
+from fes.witness.frozen import without_frozen
 
 SURE = 0.95  # a chunk's calibration that is as sure is taken for the whole recording
 
@@ -61,6 +64,31 @@ def analyse(
         recording, found = calibrations_of(recording, incline=(ground or recording.ground).incline)
         calibrations = found.calibrations
     return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, ground=ground, methods=methods))
+
+
+def analyse_corrected(
+    recording: Recording,
+    calibrations: Mapping[str, Calibration] | None = None,
+    *,
+    geometry: Mapping[str, FootGeometry] | None = None,
+    ground: Ground | None = None,
+    methods: Methods | None = None,
+) -> Analysis:
+    """As :func:`analyse`, of the recording as sound sensors would have given it, where the witness finds that some are
+    not (docs/witness.md); what was corrected is among the findings. Its calibration is then from the corrected one.
+
+    Raises:
+        CalibrationError: no sensor could be calibrated.
+    """
+    asked: dict[str, Any] = {"geometry": geometry, "ground": ground, "methods": methods}
+    before = analyse(recording, calibrations, **asked)
+    lies = {sensor: told.lies for sensor, told in before.testimonies.items() if told.lies}
+    if not lies:
+        return before
+    sound, found = calibrations_of(without_lies(before.recording, lies), incline=(ground or recording.ground).incline)
+    result = analyse(sound, found.calibrations, **asked)
+    uncorrected = {sensor: key_numbers(before, sensor) for sensor in lies}
+    return replace(result, corrections=lies, uncorrected=uncorrected, raw=before.raw)
 
 
 def analyse_chunks(
@@ -105,9 +133,16 @@ class _AnalysisRun:
 
     def analyse_chunk(self, chunk: Chunk) -> Analysis:
         """Analyse the next chunk: every sensor by itself, then both feet's paths together."""
+        raw = chunk.recording.tracks
+        tracks = {sensor: without_frozen(track) for sensor, track in raw.items()}
+        if any(tracks[sensor] is not raw[sensor] for sensor in raw):
+            chunk = replace(chunk, recording=replace(chunk.recording, tracks=tracks))
+        ground = self._ground or chunk.recording.ground
+        given: dict[str, Any] = {"geometry": self._geometry, "ground": self._ground, "methods": self._methods}
         result = Analysis(
-            chunk.recording, dict(self._calibrations), ground=self._ground or chunk.recording.ground, chunk=chunk
-        )
+            chunk.recording, dict(self._calibrations), ground=ground, chunk=chunk, raw=raw,
+            anew=lambda recording: analyse(recording, **given),
+        )  # fmt: skip
         for sensor in phase_sensors(self._calibrations).values():
             if sensor not in chunk.recording.tracks:
                 continue

@@ -1,6 +1,7 @@
 """What an analysis found: phase changes, strides, events, paths and where toe and heel are, also as tables."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes import __version__
+from fes.analysis.examination import sensor_findings, testimonies
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.methods import CAUSAL_EVENT_COLUMNS, causal_event_rows
 from fes.analysis.tables import Table, join_tables
@@ -25,9 +27,10 @@ from fes.estimation.strides.schema import Column
 from fes.estimation.tracking.tracker import Outcome, SampleCounts
 from fes.recording import Recording
 from fes.recording.chunks import Chunk
-from fes.recording.tracks import newer_samples
+from fes.recording.tracks import Track, newer_samples
 from fes.signals import FloatArray, IntArray, StrideResult
-from fes.walk_record import Note, SampleArrays, WalkRecord
+from fes.walk_record import Finding, Note, SampleArrays, WalkRecord
+from fes.witness import Lie, Testimony
 from statemachine.phases import Phase, PhaseChange, Transition
 
 _ENTRIES = {
@@ -95,7 +98,9 @@ class Analysis:
     phase changes, strides and the strides' trajectories are made from them when they are first asked for.
     ``walking_ns`` (M, 2), where given, are begins and ends of walking (:mod:`fes.analysis.bouts`): only that is told.
     ``measured_strides``, where given, are the strides with lengths by another method
-    (:mod:`fes.analysis.own_methods`).
+    (:mod:`fes.analysis.own_methods`). ``raw`` are the tracks with what a frozen sensor repeated. ``corrections``: what
+    was wrong with each sensor, of which the recording is free now; ``uncorrected`` are its key numbers as they were.
+    ``anew`` analyses another recording as this one was.
     """
 
     recording: Recording
@@ -113,6 +118,21 @@ class Analysis:
     causal_events: dict[str, list[tuple[Rule, Decision]]] = field(default_factory=dict)
     walking_ns: IntArray | None = None
     measured_strides: list[StrideResult] | None = None
+    raw: dict[str, Track] = field(default_factory=dict)
+    corrections: Mapping[str, tuple[Lie, ...]] = field(default_factory=dict)
+    uncorrected: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    anew: Callable[[Recording], "Analysis"] | None = None
+
+    @cached_property
+    def testimonies(self) -> dict[str, Testimony]:
+        """What the witness says of every foot sensor (docs/witness.md)."""
+        return testimonies(self)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the sensors, what that does to the numbers, and what to do about it."""
+        assert self.anew is not None
+        return sensor_findings(self, self.anew)
 
     @cached_property
     def phases(self) -> list[PhaseChange]:
@@ -359,7 +379,9 @@ class Analysis:
         phases, strides = self.at_offline_instants()
         found: dict[str, Any] = {"phases": phases, "strides": strides, "notes": notes}
         live = self.phases, self.strides
-        return WalkRecord(header, samples=samples, **found, complete=True, own_ns=part, live=live)
+        return WalkRecord(
+            header, samples=samples, **found, complete=True, own_ns=part, live=live, findings=self.findings
+        )
 
 
 def _seconds(t_ns: IntArray) -> FloatArray:

@@ -15,7 +15,7 @@ import click
 
 from fes.analysis.bouts import Bout, Stride, bout_tables, bouts_of, kept_of, spans_ns, walking_only
 from fes.analysis.methods import Methods
-from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
+from fes.analysis.pipeline import analyse, analyse_chunks, analyse_corrected, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
 from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
@@ -27,7 +27,7 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.zupt.detectors import Detector
 from fes.recording import RecordingError, read_recording
 from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, keep_freed_memory, recording_chunks
-from fes.walk_record import finite_or_none
+from fes.walk_record import Finding, finite_or_none
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -49,7 +49,6 @@ TABLES: Final[Mapping[str, Callable[[Analysis], Table]]] = {
     "path": Analysis.path_table,
     "events_causal": Analysis.causal_event_table,
 }
-DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 Strides = dict[str, tuple[int, int, float]]  # by foot: all, valid, distance in m
 
 
@@ -71,6 +70,8 @@ class Options:
     causal_events: bool
     bouts: bool
     report: bool
+    correct: bool
+    strict: bool
 
     def ground(self, recording: Recording) -> Ground:
         """What is walked on: as asked, else as the recording says."""
@@ -101,6 +102,8 @@ class Options:
 )
 @click.option("--causal-events", is_flag=True, help="Also events as known on-line (Kumar et al.): events_causal.")
 @click.option("--bouts", is_flag=True, help="Of a free-living day: walking only, with bouts, turns, stairs and slopes.")
+@click.option("--correct", is_flag=True, help="Undo what the witness finds wrong with a sensor, and say so.")
+@click.option("--strict", is_flag=True, help="Exit with 1 where a finding is a warning or an alert.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
     recordings: tuple[Path, ...], calibration: Path | None, hemiparetic: bool, no_report: bool, **chosen: Any
@@ -134,7 +137,7 @@ def command(
         raise click.UsageError("--stairs (or --slope) and --incline are both given: keep --incline if it is known")
     hemiparetic = hemiparetic or chosen["paretic_side"] is not None
     asked = Options(hemiparetic=hemiparetic, report=not no_report, **chosen)
-    failures = 0
+    failures, warned = 0, False
     keep_freed_memory()
     detector, per_sample = Detector[asked.detector.upper()], asked.path_filter == "per-sample"
     methods = Methods(detector, asked.stride_method, per_sample, asked.causal_events)
@@ -166,9 +169,12 @@ def command(
             click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
         if not first.whole:
             del first, recording  # a chunk that need not stay
-            analyse_long(path, found, asked, methods, ground)
+            if asked.correct:
+                click.secho("A long recording is not corrected: cut it to half an hour first.", fg="yellow", err=True)
+            warned |= analyse_long(path, found, asked, methods, ground)
             continue
-        result = analyse(recording, found.calibrations, ground=ground, methods=methods)
+        examined = analyse_corrected if asked.correct else analyse
+        result = examined(recording, found.calibrations, ground=ground, methods=methods)
         folder, bouts = fresh_folder(asked.out, path.stem), list[Bout]()
         if asked.bouts:
             bouts = bouts_of(kept_of(result.strides))
@@ -176,9 +182,10 @@ def command(
             _write_bouts(bouts, folder, asked)
         for name in asked.tables():
             write_table(TABLES[name](result), folder / f"{name}.{asked.kind}")
-        _show(result, _gait(result, folder, asked), folder, asked, bouts)
+        warned |= _show(result, _gait(result, folder, asked), folder, asked, bouts)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
+    if failures or (asked.strict and warned):
         raise SystemExit(FAILED)
 
 
@@ -261,7 +268,9 @@ def _show(
     folder: Path,
     asked: Options,
     bouts: list[Bout],
-) -> None:
+) -> bool:
+    """Print, and write the report; whether a finding is a warning or an alert."""
+    from fes.report.findings import findings
     from fes.report.summary import summarise_session
     from fes.report.tables import stride_table, summary_block
 
@@ -269,6 +278,7 @@ def _show(
     record = result.walk_record(utc_now())
     data, page = summarise_session(record), folder / "report.html"
     summary = data.summary
+    warned = any(each.level in ("warning", "alert") for each in findings(summary))
     if asked.report:
         from fes.report.page import write_report
 
@@ -285,19 +295,20 @@ def _show(
                 "files": {"folder": str(folder)},
             }
         )
-        return
+        return warned
     lines = [*_clearance_lines(result), *_path_lines(result)]
     tables = [*([_bouts_shown(bouts)] if asked.bouts else []), stride_table(summary), summary_block(summary)]
-    _print_parameters(tables, parameters, walk, lines, _strides_by_foot(result))
+    _print_parameters(tables, parameters, walk, lines)
     click.echo(f"Tables  {folder}/")
     if asked.report:
         click.echo(f"Report  {page}  (open it in a browser)")
+    return warned
 
 
 def _print_parameters(
-    tables: Iterable[Any], gait: GaitParameters, walk: HemipareticWalk | None, lines: Iterable[str], strides: Strides
+    tables: Iterable[Any], gait: GaitParameters, walk: HemipareticWalk | None, lines: Iterable[str]
 ) -> None:
-    """These tables and the parameters', the lines, and whatever strides make doubtful."""
+    """These tables and the parameters', and the lines."""
     from fes.report.tables import parameter_lines, parameter_table
 
     console = screen()
@@ -305,15 +316,6 @@ def _print_parameters(
         console.print(table)
     for line in (*lines, *parameter_lines(gait, walk)):
         console.print(line, markup=False)
-    for sensor, (count, valid, _) in strides.items():
-        if count >= FEWEST_STRIDES and valid < DOUBTFUL_SHARE * count:
-            console.print(
-                f"! {sensor}: only {valid} of {count} strides could be measured. Does this sensor sit on "
-                f"the {sensor.replace('_', ' ')}, not on another part of the leg, and are units and rate in the "
-                f"sidecar right?",
-                markup=False,
-                style="yellow",
-            )
 
 
 def _strides_by_foot(result: Analysis) -> Strides:
@@ -363,10 +365,14 @@ class _ChunkSummary:
     strides: Strides
     no_path: tuple[str, ...]
     points: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
-def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods: Methods, ground: Ground) -> None:
-    """Analyse chunk by chunk and write the tables as they come; what is kept does not grow with the recording."""
+def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods: Methods, ground: Ground) -> bool:
+    """Analyse chunk by chunk and write the tables as they come; what is kept does not grow with the recording.
+
+    Returns whether a sensor's finding is a warning or an alert.
+    """
     from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
 
     folder, kind = fresh_folder(asked.out, path.stem), asked.kind
@@ -396,20 +402,22 @@ def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods:
     bouts = bouts_of(kept)
     if asked.bouts:
         _write_bouts(bouts, folder, asked)
+    warned = any(finding.level in ("warning", "alert") for each in chunks for finding in each.findings)
     if asked.bouts and asked.as_json:
         tables = finite_or_none(bout_tables(bouts))
         print_json({"parameters": every.to_json(), **tables, "files": {"folder": str(folder)}})
-        return
+        return warned
     if asked.as_json:
         last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
         click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
-        return
+        return warned
     if asked.bouts:
         screen().print(_bouts_shown(bouts))
     _show_chunks(chunks, every)
     click.echo(f"Tables  {folder}/")
     if asked.report and not asked.bouts:
         click.echo(f"Reports {folder / 'report-01.html'} and on, one a chunk  (open them in a browser)")
+    return warned
 
 
 def _summarised(result: Analysis) -> _ChunkSummary:
@@ -420,7 +428,7 @@ def _summarised(result: Analysis) -> _ChunkSummary:
     end = max(int(track.t_sensor_ns[-1]) for track in tracks) if end == NEVER_NS else end
     points = (f"Clearance, {foot.removesuffix('_foot')}: {known.describe()}" for foot, known in result.points.items())
     strides, no_path = _strides_by_foot(result), tuple(result.no_path.values())
-    return _ChunkSummary(1e-9 * begin, 1e-9 * end, strides, no_path, tuple(points))
+    return _ChunkSummary(1e-9 * begin, 1e-9 * end, strides, no_path, tuple(points), result.findings)
 
 
 def _report_chunk(result: Analysis, parameters: GaitParameters, folder: Path, number: int, asked: Options) -> None:
@@ -445,6 +453,8 @@ def _report_chunk(result: Analysis, parameters: GaitParameters, folder: Path, nu
 def _show_chunks(chunks: list[_ChunkSummary], every: GaitParameters) -> None:
     from rich.table import Table
 
+    from fes.report.tables import MARKS
+
     feet = list(dict.fromkeys(foot for each in chunks for foot in each.strides))
     columns = [text for foot in feet for text in (f"{foot}, strides", "measured", "distance, m")]
     table = Table("chunk", "from s", "to s", *columns, title="Chunks")
@@ -453,9 +463,9 @@ def _show_chunks(chunks: list[_ChunkSummary], every: GaitParameters) -> None:
         shown = [text for count, valid, distance_m in cells for text in (str(count), str(valid), f"{distance_m:.1f}")]
         table.add_row(str(number), f"{each.begin_s:.0f}", f"{each.end_s:.0f}", *shown)
     no_path = [f"No path in chunk {k}: {reason}" for k, each in enumerate(chunks, start=1) for reason in each.no_path]
-    strides: Strides = {}
-    for each in chunks:
-        for foot, (count, valid, distance_m) in each.strides.items():
-            before = strides.get(foot, (0, 0, 0.0))
-            strides[foot] = before[0] + count, before[1] + valid, before[2] + distance_m
-    _print_parameters([table], every, None, [*chunks[-1].points, *no_path], strides)
+    told = [
+        f"{MARKS[finding.level][0]} Chunk {k}: {finding.text}"
+        for k, each in enumerate(chunks, start=1)
+        for finding in each.findings
+    ]
+    _print_parameters([table], every, None, [*chunks[-1].points, *no_path, *told])

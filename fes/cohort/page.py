@@ -205,6 +205,7 @@ def _flags(row: dict[str, Any]) -> str:
         f"{100 * missing:.1f} % of the samples missing" if missing > MISSING_SHARE else "",
         f"{row['clipped']} samples clipped" if row["clipped"] else "",
         row["reason"] or "",
+        row["findings"] or "",
         "no valid stride" if row["status"] == DONE and not row["valid_strides"] else "",
     ]
     return "; ".join(filter(None, notes))

@@ -40,7 +40,17 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
         [
             *[
                 (name, _TEXT)
-                for name in ("recording", "source", "name", "subject", "group", "status", "reason", "fes_version")
+                for name in (
+                    "recording",
+                    "source",
+                    "name",
+                    "subject",
+                    "group",
+                    "status",
+                    "reason",
+                    "fes_version",
+                    "findings",
+                )
             ],
             *[(name, _COUNT) for name in ("samples", "missing", "clipped", "irregular", "strides", "valid_strides")],
             *_numbers("duration_s", "belt_speed_mps", "stride_length_m", "speed_mps", "stride_time_s", "clearance_m"),

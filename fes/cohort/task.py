@@ -117,6 +117,7 @@ def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list
         "duration_s": max(track.duration_s for track in recording.tracks.values()),
         "belt_speed_mps": recording.belt_speed_mps,
         "group": str(recording.extra.get("group", "")),
+        "findings": " ".join(each.text for each in result.findings if each.level in ("warning", "alert")),
     }
     row |= finite_or_none(_of_both_feet(gait_parameters(result)))
     values = {name: [r[name] for r in valid if r[name] is not None] for name in _MEANS}

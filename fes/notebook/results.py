@@ -16,6 +16,7 @@ from fes.estimation.strides import schema
 from fes.notebook.plots import Plots
 from fes.recording import Recording
 from fes.session_log import SessionRecord
+from fes.walk_record import Finding
 
 if TYPE_CHECKING:
     from fes.evaluation.reference.evaluation import Evaluation
@@ -43,6 +44,14 @@ class Result:
     path: Table
     parameters: GaitParameters
     _analyses: Callable[[], Iterator[Analysis]]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is to be known before the numbers are used, as terminal, JSON and report have it, part by part."""
+        from fes.report.findings import findings
+        from fes.report.summary import summarise
+
+        return tuple(each for part in self._analyses() for each in findings(summarise(part.walk_record())))
 
     @property
     def plot(self) -> Plots:

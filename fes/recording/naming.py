@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from fes.recording.units import ACC_UNITS, GYR_UNITS, MOVING_MPS2, TIME_UNITS_NS, quiet_level
+from fes.recording.units import ACC_UNITS, GYR_UNITS, MOVING_MPS2, TIME_UNITS_NS, gravity_subtracted, quiet_level
 from fes.signals import G_MPS2, SENSORS, FloatArray
 
 _KINDS: Final = {
@@ -207,6 +207,7 @@ class Numbers:
     gravity: float
     moved: float
     peak: float
+    subtracted: bool = False  # gravity is not in it
 
 
 def characterise(data: FloatArray) -> Numbers:
@@ -214,7 +215,7 @@ def characterise(data: FloatArray) -> Numbers:
     acc, gyr = np.ascontiguousarray(data[:, :3]), np.ascontiguousarray(data[:, 3:])
     gravity, _ = quiet_level(acc, gyr, 100.0)
     moved = float(np.percentile(np.abs(np.linalg.norm(acc, axis=1) - gravity), 99.0))
-    return Numbers(gravity, moved, float(np.percentile(np.linalg.norm(gyr, axis=1), 99.0)))
+    return Numbers(gravity, moved, float(np.percentile(np.linalg.norm(gyr, axis=1), 99.0)), gravity_subtracted(acc))
 
 
 def acc_unit_of(numbers: Numbers) -> str:

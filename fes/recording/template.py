@@ -17,7 +17,7 @@ from fes.recording.naming import Group, counter_columns, group_columns, stated_u
 from fes.recording.raw import RATE_TOLERANCE
 from fes.recording.table import Table, is_parquet, unwrapped
 from fes.recording.tracks import RecordingError
-from fes.recording.units import ACC_UNITS, GYR_UNITS, time_factor_ns
+from fes.recording.units import ACC_UNITS, GRAVITY_GONE, GYR_UNITS, time_factor_ns
 from fes.recording.write import toml_value
 from fes.signals import G_MPS2, NS_PER_S, SENSORS, FloatArray
 
@@ -29,7 +29,7 @@ def sidecar_template(path: Path) -> str:
     """Return the text of a sidecar for a recording that has none; what is to be answered is marked with “?”.
 
     Raises:
-        RecordingError: the file itself is empty, damaged or no text.
+        RecordingError: the file itself is empty, damaged or no text, or lacks what no answer could replace.
     """
     if path.suffix.lower() in CAN_SUFFIXES:
         return _can_template(path)
@@ -45,6 +45,13 @@ def sidecar_template(path: Path) -> str:
     why = _place(path, layout, groups)
     times = [name for name in (*time_columns(layout.names), *counter_columns(layout.names)) if name in layout.filled]
     numbers = _characterised(path, layout, groups[0])
+    if not any(group.names("gyr")[0] in layout.names for group in groups) and groups[0].names("acc")[0] in layout.names:
+        raise RecordingError(
+            f"{path}: has an accelerometer and no gyroscope (no column of turning rates). Strides need both: export "
+            "the gyroscope of the same sensor too"
+        )
+    if numbers and numbers.subtracted and not hints.acc_unit_of(numbers):
+        raise RecordingError(f"{path}: {GRAVITY_GONE}")
     lines = [f"# {path.name} has these columns:", *(f"#   {name}" for name in layout.names if name), ""]
     lines += [f"{key} = {toml_value(value)}" for key, value in settings_of(layout.dialect).items()]
     own = _own_times(groups, times := list(dict.fromkeys(times)))
@@ -116,6 +123,7 @@ class _Clock:
     readings: FloatArray
     step: float
     wraps_at: int | None
+    packet: int = 1  # readings that share a stamp
 
     @property
     def missing(self) -> int:
@@ -145,7 +153,11 @@ def _clock(path: Path, layout: Layout, name: str) -> _Clock | None:
     turn = hints.wraps_at_of(readings)
     readings = unwrapped(readings, turn) if turn else readings
     steps = np.diff(readings)
-    return _Clock(name, readings, float(np.median(steps[steps > 0])), turn) if (steps > 0).any() else None
+    if not (steps > 0).any():
+        return None
+    lengths = np.diff(np.flatnonzero(np.concatenate(([True], steps != 0))))
+    packet = int(np.median(lengths)) if lengths.size and (steps >= 0).all() else 1
+    return _Clock(name, readings, float(np.median(steps[steps > 0])) / packet, turn, packet)
 
 
 def _time_lines(path: Path, layout: Layout, names: list[str]) -> list[str]:
@@ -162,6 +174,9 @@ def _time_lines(path: Path, layout: Layout, names: list[str]) -> list[str]:
         if clock and not stated:
             by_rate = [f"rate_hz = {_rate_by(counter, clock, unit):.5g}  # by {clock.name}"]
         return _counter_lines(counter, by_rate)
+    if clock is not None and clock.packet > 1:
+        told = f"they arrive in packets of {clock.packet}, which share a stamp of {clock.name}"
+        return by_rate or [f"rate_hz = {_rounded(rate_hz):g}  # {told}"]
     if clock is None:
         wanted = "? samples per second, as the sensor was set; or time_column = … and time_unit = … instead"
         return by_rate or [f"rate_hz = 0  # {wanted}"]
@@ -171,6 +186,12 @@ def _time_lines(path: Path, layout: Layout, names: list[str]) -> list[str]:
     if stated and not agree:
         lines.append(f"# rate_hz = {stated[0]:g} stands in {stated[1]}, and the times say {rate_hz:.5g}")
     return lines + (by_rate if agree else [])
+
+
+def _rounded(rate_hz: float) -> float:
+    """A rate by stamps of arrival, to the nearest that a sensor is set to where that is within 1 %."""
+    usual = min((25, 50, 52, 60, 64, 100, 104, 120, 128, 200, 208, 256, 400, 500), key=lambda each: abs(each - rate_hz))
+    return float(usual) if abs(usual - rate_hz) <= 0.01 * usual else round(rate_hz, 1)
 
 
 def _unit_of(layout: Layout, clock: _Clock) -> list[tuple[str | float, str]]:

@@ -136,6 +136,19 @@ def _quiet(acc: _Spreads, gyr: _Spreads) -> tuple[float, float]:
     return acc.size_in(chosen), gyr.size_in(chosen)
 
 
+GRAVITY_GONE: Final = (
+    "gravity was subtracted by the device (“linear”, “free” or “user” acceleration): its mean is nearly 0. Export the "
+    "stream that has it in, called “raw”, “total” or “accelerometer”"
+)
+_MEAN_SHARE: Final = 0.15  # of the usual size; a foot that walks keeps gravity's direction: 0.6 and more
+
+
+def gravity_subtracted(acc: FloatArray) -> bool:
+    """Whether (N, 3) readings of a moving sensor, in any unit, have no gravity in them."""
+    usual = float(np.median(np.linalg.norm(acc, axis=1))) if len(acc) else 0.0
+    return usual > 0.0 and float(np.linalg.norm(acc.mean(axis=0))) < _MEAN_SHARE * usual
+
+
 def check_units(
     where: str, acc: FloatArray, gyr: FloatArray, rate_hz: float, acc_unit: str | float, gyr_unit: str | float
 ) -> None:
@@ -148,6 +161,10 @@ def check_units(
     """
     of_acc, of_gyr = _window_spreads(acc, gyr, rate_hz, round(SAMPLED_S * rate_hz))
     factors = acc_factor(acc_unit), gyr_factor(gyr_unit)
+    low, high = (G_MPS2 * bound for bound in GRAVITY_BAND)
+    quiet_mps2 = _quiet(of_acc, of_gyr)[0] * factors[0]
+    if not low <= quiet_mps2 <= high and gravity_subtracted(acc):
+        raise RecordingError(f"{where}: {GRAVITY_GONE}")
     _check_gravity(where, _quiet(of_acc, of_gyr), acc_unit, factors[0])
     _check_turning(where, of_acc.squares, of_gyr.squares, gyr_unit, factors)
 

@@ -1,23 +1,22 @@
 """What a session amounts to: short plain sentences with a weight, and the first page that is made of them."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
-from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
+from fes.report.quality import SensorQuality
 from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, number, readable
 from fes.stimulation.onset import ONSET
 from fes.stimulation.order import NOTED
+from fes.walk_record import Finding, Level
 
-Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
 SILENCE_MS = 100.0
 FEW_UNEXPLAINED = 0.05  # of the swings: pivots and small steps
@@ -37,16 +36,7 @@ _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
 _VERDICT_OF_DATA: Final = "No fault found in the data"
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One sentence: ``alert`` is what must be looked at before the numbers are used.
-
-    ``leads``: it stands on the first page, right after what must be looked at.
-    """
-
-    level: Level
-    text: str
-    leads: bool = False
+DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 
 
 def findings(summary: SessionSummary) -> tuple[Finding, ...]:
@@ -62,6 +52,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         first, count = summary.faults[0], count_of(len(summary.faults), "fault")
         where = f"the first at {first.time_s:.1f} s ({first.source}): {first.text}"
         yield Finding("alert", f"{count} noted, {where}. {remedy(first.text)}".rstrip())
+    yield from summary.told
     if done := summed_up(summary.by_hand):
         yield Finding("info", f"By hand: {done}.")
     if not summary.channels and summary.kind != "analysis":
@@ -261,6 +252,12 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
     if not summary.strides:
         yield Finding("warning", "No stride was found: the foot did not walk, or the sensor did not see it.")
         return
+    for name, foot in summary.feet.items():
+        explained = any(told.sensor == name and told.level in ("warning", "alert") for told in summary.told)
+        if foot.strides >= FEWEST_STRIDES and foot.valid < DOUBTFUL_SHARE * foot.strides:
+            text = f"{readable(name).capitalize()}: only {foot.valid} of {foot.strides} strides could be measured."
+            asked = f" Does this sensor sit on the {readable(name)}, and are units and rate in the sidecar right?"
+            yield Finding("warning", text if explained else text + asked, code="few_valid", sensor=name)
     seen = any(foot.swings for foot in summary.feet.values())  # by the samples, whatever the phase machine found
     four, of = sum(row.four_phases for row in summary.strides), "swing" if seen else "stride"
     text = f"{four} of {count_of(total, of)} passed all four phases in order ({100 * four / total:.1f} %)"
@@ -292,16 +289,6 @@ def _speed(summary: SessionSummary) -> Iterator[Finding]:
     yield Finding("good" if agrees else "warning", f"{speed}, belt {summary.belt_speed_mps:.2f} m/s ({off:+.1f} %).")
 
 
-def _refusals(summary: SessionSummary) -> Iterator[Finding]:
-    if summary.refusals:
-        most = summary.refusals[0]
-        total = sum(refusal.count for refusal in summary.refusals)
-        yield Finding(
-            "warning",
-            f"The safety gate turned {count_of(total, 'command')} off; most often: {most.reason} ({most.count}).",
-        )
-
-
 def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
     flaws = [
         count_of(sensor.missing, "missing sample") if sensor.missing else "",
@@ -315,43 +302,33 @@ def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
         yield Finding("warning", f"Sensor {readable(sensor.sensor)}: {told} ({sensor.samples} samples).")
 
 
-def front_page(
-    summary: SessionSummary,
-    flags: Mapping[tuple[str, int], Sequence[Flag]],
-    sensors: Mapping[str, SensorFlags],
-    more: Sequence[Finding] = (),
-) -> dict[str, Any]:
+def verdict(every: Sequence[Finding], *, only_data: bool) -> tuple[Level, str]:
+    """The worst level of these and its words, the same on every page and screen."""
+    levels = list(_VERDICTS)
+    level: Level = min((finding.level for finding in every), key=levels.index, default="info")
+    return level, _VERDICT_OF_DATA if only_data and level in ("good", "info") else _VERDICTS[level]
+
+
+def is_only_data(summary: SessionSummary) -> bool:
+    """Nothing was, or could have been, stimulated."""
+    return summary.kind == "analysis" and not summary.channels
+
+
+def front_page(summary: SessionSummary, more: Sequence[Finding] = ()) -> dict[str, Any]:
     """The worst level with its words, the first sentences and the others, cards, and the doses.
 
     Sentences of alerts and warnings come first, then what tuning made of each channel, each in the order in which they
     were found.
     """
-    every = (*findings(summary), *more, *flag_findings(flags, sensors))
+    every = (*findings(summary), *more)
     levels = list(_VERDICTS)
     calm = levels.index("good")
     ordered = sorted(every, key=lambda one: calm - 0.5 if one.leads else levels.index(one.level))
-    level: Level = min((finding.level for finding in every), key=levels.index, default="info")
-    only_data = summary.kind == "analysis" and not summary.channels and level in ("good", "info")
-    verdict = _VERDICT_OF_DATA if only_data else _VERDICTS[level]
+    level, words = verdict(every, only_data=is_only_data(summary))
     dose = {row.channel: row for row in summary.dose}
-    found = {"level": level, "verdict": verdict, "first": ordered[:FIRST], "others": ordered[FIRST:]}
+    found = {"level": level, "verdict": words, "first": ordered[:FIRST], "others": ordered[FIRST:]}
     doses = [(channel, dose.get(channel.channel)) for channel in summary.channels]
     return {**found, "cards": _cards(summary), "doses": doses}
-
-
-def flag_findings(flags: Mapping[tuple[str, int], Sequence[Flag]], sensors: Mapping[str, SensorFlags]) -> list[Finding]:
-    """A sentence for every sensor that reached its limit."""
-    found = []
-    for name, sensor in sensors.items():
-        for kind, axis, unit in ((CLIPPED_ACC, "acc", "m/s²"), (CLIPPED_GYR, "gyr", "rad/s")):
-            samples = int(sensor.at_limit[axis].sum())
-            strides = sum(any(flag.kind == kind for flag in own) for (foot, _), own in flags.items() if foot == name)
-            if samples:
-                limit = f"{kind} at its limit of {sensor.limits[axis]:.0f} {unit}"
-                where = f"in {count_of(samples, 'sample')}, in {count_of(strides, 'stride')}"
-                how = "" if sensor.known else ", found in the samples, for the range is not known"
-                found.append(Finding("warning", f"Sensor {readable(name)}: {limit} {where}{how}."))
-    return found
 
 
 def _cards(s: SessionSummary) -> list[dict[str, str]]:

@@ -12,9 +12,9 @@ import numpy as np
 
 from fes.analysis.hemiparetic.walk import MIN_AGREEING, MIN_SCORE
 from fes.report.figures.space import SpaceFigure, SpaceFoot
-from fes.report.findings import Finding
 from fes.report.gait import POINTS, spread_of
 from fes.report.text import capitalised, mean_sd, readable, spread
+from fes.walk_record import Finding
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.foot import FootTrack

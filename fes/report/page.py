@@ -22,7 +22,7 @@ from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
 from fes.report.moments import moment_data
 from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, walk_rows
-from fes.report.quality import all_flags, describe_flags, stride_flags
+from fes.report.quality import describe_flags
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
 from fes.report.text import local_time, plain, readable
@@ -71,8 +71,7 @@ def render_report(
     data = data or summarise_session(record)
     summary = data.summary
     measured = gait if gait is not None else gait_of_strides(record.strides, summary.belt_speed_mps)
-    sensors = all_flags(record, data.settings)
-    flags = stride_flags(record, summary.strides, sensors)
+    sensors, flags = data.sensors, data.flags
     curves = foot_curves(record.strides, measured, list(data.timelines))
     described = describe_flags(flags.get((foot, number), ()) for foot, one in curves.items() for number in one.numbers)
     care = f" With care: {described}." if described else ""
@@ -92,7 +91,7 @@ def render_report(
         "report.html.j2",
         s=summary,
         title=f"{summary.name} – gait and stimulation",
-        front=front_page(summary, flags, sensors, [section.finding] if section else []),
+        front=front_page(summary, [section.finding] if section else []),
         front_figures=trusted(over_stride[:2]),
         gait=measured,
         from_samples=gait is not None,

@@ -14,10 +14,10 @@ import numpy as np
 
 from fes.config import Session
 from fes.report.strides import StrideRow
-from fes.report.text import without_numbers
+from fes.report.text import count_of, readable, without_numbers
 from fes.signals import G_MPS2, NS_PER_S, BoolArray, FloatArray, IntArray, StimCommand
 from fes.stimulation.onset import EACH_ONSET
-from fes.walk_record import SampleArrays, WalkRecord
+from fes.walk_record import Finding, SampleArrays, WalkRecord
 
 CLOCKS_AGREE_NS = NS_PER_S
 FAR_NS = 3600 * NS_PER_S
@@ -281,6 +281,26 @@ def stride_flags(
         flags += [Flag(UNSURE, 0)] if row.valid and not row.four_phases else []
         if flags:
             found[row.foot, row.number] = tuple(flags)
+    return found
+
+
+def flag_findings(flags: Mapping[tuple[str, int], Sequence[Flag]], sensors: Mapping[str, SensorFlags]) -> list[Finding]:
+    """A sentence for every sensor that reached its limit."""
+    found = []
+    for name, sensor in sensors.items():
+        for kind, axis, unit in ((CLIPPED_ACC, "acc", "m/s²"), (CLIPPED_GYR, "gyr", "rad/s")):
+            samples = int(sensor.at_limit[axis].sum())
+            strides = sum(any(flag.kind == kind for flag in own) for (foot, _), own in flags.items() if foot == name)
+            if samples:
+                limit = f"{kind} at its limit of {sensor.limits[axis]:.0f} {unit}"
+                where = f"in {count_of(samples, 'sample')}, in {count_of(strides, 'stride')}"
+                how = "" if sensor.known else ", found in the samples, for the range is not known"
+                text = f"Sensor {readable(name)}: {limit} {where}{how}."
+                finding = Finding(
+                    "warning", text, code=f"{axis}_clipped", sensor=name, cause=limit, effect=MEANING[kind],
+                    remedy="record with a greater range",
+                )  # fmt: skip
+                found.append(finding)
     return found
 
 

@@ -17,7 +17,7 @@ from fes.report.strides import STANDING_S, StrideRow, stride_rows, with_live
 from fes.report.text import Spread, plain, spread
 from fes.report.thresholds import MeasureRow, measure_rows, thresholds_set
 from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS, OperatorAction
-from fes.walk_record import WalkRecord
+from fes.walk_record import Finding, WalkRecord
 
 NAN = float("nan")
 STEADY_SHARE = 0.3
@@ -243,6 +243,7 @@ class SessionSummary:
     thresholds: str = ""
     by_hand: tuple[HandRow, ...] = ()
     exercise: ExerciseSummary | None = None
+    told: tuple[Finding, ...] = ()  # of the sensors, by whoever examined them
 
     @property
     def faults(self) -> tuple[quality.Notice, ...]:
@@ -255,7 +256,13 @@ class SessionSummary:
 
         The notices stand there as ``remarks``, too, as they were called once.
         """
-        return {"format": FORMAT, **plain(self), "remarks": plain(self.notices)}
+        from fes.report.findings import findings, is_only_data, verdict  # which is made of this
+
+        every = findings(self)
+        level, words = verdict(every, only_data=is_only_data(self))
+        numbers = {key: value for key, value in plain(self).items() if key != "told"}
+        judged = {"level": level, "verdict": words, "findings": plain(every)}
+        return {"format": FORMAT, **numbers, **judged, "remarks": plain(self.notices)}
 
 
 @dataclass(frozen=True)
@@ -271,6 +278,8 @@ class ReportData:
     channels: tuple[stimulation.ChannelInfo, ...]
     commands: dict[int, stimulation.CommandColumns] = field(repr=False)
     bursts: dict[int, tuple[stimulation.Burst, ...]] = field(repr=False)
+    sensors: dict[str, quality.SensorFlags] = field(repr=False)
+    flags: dict[tuple[str, int], tuple[quality.Flag, ...]] = field(repr=False)
 
 
 def summarise(record: WalkRecord) -> SessionSummary:
@@ -312,6 +321,8 @@ def summarise_session(record: WalkRecord) -> ReportData:
         unmoved = {id(stride) for stride in record.strides}
         kept = {(stride.foot, stride.number) for stride in strides if id(stride) in unmoved}
         rows = with_live(rows, stride_rows(strides, live, (), {}, (), origin_ns), kept)
+    sensors = quality.all_flags(record, settings)
+    flags = quality.stride_flags(record, rows, sensors)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
     given = _toes_given(record.header, settings)
     feet = {n: with_swings(replace(own, toe_given=n in given), record, origin_ns) for n, own in feet.items()}
@@ -351,8 +362,9 @@ def summarise_session(record: WalkRecord) -> ReportData:
         thresholds=thresholds_set(settings),
         by_hand=hand_rows(record, origin_ns, settings.stimulation.intensity if settings else 1.0),
         exercise=exercise_summary(record, settings),
+        told=(*record.findings, *quality.flag_findings(flags, sensors)),
     )
-    return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
+    return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts, sensors, flags)
 
 
 def _toes_given(header: Mapping[str, Any], settings: Session | None) -> set[str]:

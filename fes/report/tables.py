@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fes.report.by_hand import summed_up
-from fes.report.findings import findings
+from fes.report.findings import findings, is_only_data, verdict
 from fes.report.stimulation import tuning_lines
 from fes.report.strides import StrideRow
 from fes.report.summary import FootSummary, SessionSummary
@@ -115,9 +115,11 @@ def summary_block(summary: SessionSummary) -> RenderableType:
             times = f"{channel.bursts} bursts, {channel.on_time_s:.1f} s on"
             lines.append(Text(f"  {channel.name}: {times}, {dose}, {onset}"))
     lines += [Text(f"  {line}") for line in tuning_lines(summary.tuning, summary.dose)]
-    for finding in findings(summary):
-        mark, style = MARKS[finding.level]
-        lines.append(Text(f"{mark} {finding.text}", style=style))
+    every = findings(summary)
+    level, words = verdict(every, only_data=is_only_data(summary))
+    for weight, text in ((level, words), *((each.level, each.text) for each in every)):
+        mark, style = MARKS[weight]
+        lines.append(Text(f"{mark} {text}", style=f"bold {style}" if text == words else style))
     return Group(*lines)
 
 

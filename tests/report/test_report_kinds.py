@@ -165,7 +165,7 @@ def test_tuning_has_its_place_and_a_stumble_is_not_nothing(tmp_path: Path) -> No
     assert told.startswith(f"{channel.name}: {peaks[0]:.1f} → {peaks[-1]:.1f} mA between strides ")
     assert "toe clearance" in told.split(": ", 2)[2]
     assert f"({changes} changes, " in told
-    first = [finding.text for finding in front_page(summary, {}, {})["first"]]
+    first = [finding.text for finding in front_page(summary)["first"]]
     warnings = texts(summary, "alert", "warning")
     assert first.index(told) == len(warnings) < len(first), "on the first page, after what must be looked at"
     assert any(text.startswith(f"{channel.name}, identified: threshold ") for text in texts(summary, "info"))

@@ -328,7 +328,7 @@ def test_json_keys_are_stable_and_nan_is_null():
     value = summarise(make.walk(4)).to_json()
     text = json.dumps(value, allow_nan=False)
     assert json.loads(text) == value
-    assert set(value) == {
+    assert set(value) - {"level", "verdict", "findings"} == {
         *("format", "name", "subject", "recording", "kind", "created", "fes_version", "complete", "lost"),
         *("duration_s", "belt_speed_mps", "walking_speed_mps", "speed_over_belt", "command_period_s", "feet"),
         *(

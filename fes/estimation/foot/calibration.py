@@ -334,7 +334,8 @@ def _other_way(
         tilts[k] = *tilt.max(axis=0), *-tilt.min(axis=0)
     toe_down, one_side, toe_up, other_side = np.degrees(_medians(tilts)).tolist()
     if toe_up - toe_down > math.degrees(BACKWARD_RAD):
-        return f"it walked backward: on its way the foot tilts toe-up by {toe_up:.0f}° and toe-down by {toe_down:.0f}°."
+        seen = f"on its way the foot tilts toe-up by {toe_up:.0f}° and toe-down by {toe_down:.0f}°"
+        return f"it walked backward: {seen}; or the sensor's axes are left-handed, or one has the wrong sign."
     across, along = max(toe_down, toe_up), max(one_side, other_side)
     if along > SIDEWAYS * across:
         return (

@@ -13,10 +13,10 @@ from fes.report.comparison.rows import KEY, ParameterRow, SymmetryRow, parameter
 from fes.report.comparison.sentences import changes, confounders, describe_stimulation, speed_differs, value_text
 from fes.report.comparison.session import ComparedSession, with_the_same_timing
 from fes.report.figures.strides import PHASE_COLORS, foot_color
-from fes.report.findings import Finding
 from fes.report.glossary import GLOSSARY
 from fes.report.html import rendered, trusted
 from fes.report.text import capitalised, number, plain
+from fes.walk_record import Finding
 
 FORMAT: Final = 1
 MOST: Final = len(COLORS)

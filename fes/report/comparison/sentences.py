@@ -5,8 +5,9 @@ from collections.abc import Iterator, Sequence
 
 from fes.report.comparison.rows import KEY, ParameterRow
 from fes.report.comparison.session import ComparedSession
-from fes.report.findings import Finding, findings
+from fes.report.findings import findings
 from fes.report.text import count_of, number, readable
+from fes.walk_record import Finding
 
 BELT_MPS = 0.05  # treadmills show their speed to 0.1 m/s
 MEASURED_MPS = 0.1

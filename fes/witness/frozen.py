@@ -1,0 +1,51 @@
+"""Samples that a sensor repeats to the bit, and a gyroscope that reads nothing at all while it turns slowly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from fes.recording.tracks import PER_SAMPLE, Track
+from fes.signals import FloatArray
+
+FROZEN_NS: Final = 60_000_000  # both triads bit-equal for so long; no real sensor did so for 40 ms (docs/safety.md)
+DEAD_SHARE: Final = 0.05  # of an axis' samples that are exactly 0
+LEAST_BAND_RADPS: Final = 0.005  # 0.3 deg/s
+OVER_RESOLUTION: Final = 4.0  # the band is so many times the finest step between two readings
+
+
+def frozen_rows(track: Track) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(N,) samples that only repeat what was read before, in stretches of 60 ms and more."""
+    values = np.hstack((track.acc_mps2, track.gyr_radps))
+    same = np.concatenate(([False], (values[1:] == values[:-1]).all(axis=1)))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False])).astype(np.int8)))
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if track.t_sensor_ns[end - 1] - track.t_sensor_ns[begin - 1] < FROZEN_NS:
+            same[begin:end] = False
+    return same
+
+
+def without_frozen(track: Track) -> Track:
+    """The track without what is only repeated, as if that had been lost; the same object where nothing is."""
+    frozen = frozen_rows(track)
+    if not frozen.any():
+        return track
+    return replace(track, **{name: getattr(track, name)[~frozen] for name in PER_SAMPLE})
+
+
+def dead_band_radps(track: Track) -> float:
+    """Below which rate the gyroscope reads exactly 0; 0 where it does not."""
+    bands = [_band(axis) for axis in track.gyr_radps.T]
+    return max(bands) if min(bands) > 0.0 else 0.0
+
+
+def _band(axis: FloatArray) -> float:
+    sizes = np.abs(axis[np.isfinite(axis)])
+    if not sizes.size or np.count_nonzero(sizes == 0.0) < DEAD_SHARE * sizes.size:
+        return 0.0
+    least = float(np.min(sizes[sizes > 0.0], initial=np.inf))
+    levels = np.unique(sizes[sizes > 0.0])
+    finest = float(np.min(np.diff(levels), initial=np.inf))
+    return least if LEAST_BAND_RADPS < least < np.inf and least > OVER_RESOLUTION * finest else 0.0
