@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -87,10 +88,10 @@ class Walk:
         return harm_of(self.strides)
 
 
-def calibration_of(settings: PatientSettings) -> FootCalibration:
+def calibration_of(settings: PatientSettings, made: Callable[[Any], Any] = VirtualPatient) -> FootCalibration:
     """From a walk of the same patient without stimulation."""
     foot = settings.affected_foot
-    samples = [s for s in VirtualPatient(settings).advance(round(CALIBRATION_S * NS_PER_S)) if s.sensor == foot]
+    samples = [s for s in made(settings).advance(round(CALIBRATION_S * NS_PER_S)) if s.sensor == foot]
     t_ns = np.array([sample.t_ns for sample in samples])
     acc = np.array([sample.acc_mps2 for sample in samples])
     gyr = np.array([sample.gyr_radps for sample in samples])
@@ -107,6 +108,7 @@ def walk(
     lost: Callable[[int], bool] | None = None,
     seen: Callable[[ImuSample], ImuSample] | None = None,
     prepare: Callable[[Controller], None] | None = None,
+    made: Callable[[Any], Any] = VirtualPatient,
 ) -> Walk:
     """Walk until ``strides`` of the affected foot or ``seconds`` are over.
 
@@ -120,8 +122,9 @@ def walk(
         lost: whether what the sensor says at a time in ns is lost.
         seen: what becomes of a sample that is not.
         prepare: called with the controller before the first event, as to take a part of the tuning away.
+        made: makes the patient of the settings.
     """
-    patient, foot = VirtualPatient(settings), settings.affected_foot
+    patient, foot = made(settings), settings.affected_foot
     calibrations: dict[str, Calibration] = {foot: calibration}
     controller = Controller(session, calibrations)
     gate = gate_of(session, {foot: calibration.up}, {})

@@ -37,7 +37,7 @@ from fes.estimation.strides.results import StrideMaker
 from fes.recording import Recording, Track
 from fes.signals import StrideResult
 from fes.simulation.truth import Truth, TruthStride
-from fes.stimulation.tuning.usable import GroundWatch
+from fes.stimulation.ground import GroundWatch
 from sim_inputs.generator.observe import observe
 from sim_inputs.generator.session import new_session
 from sim_inputs.generator.trials import BOTH, IMU, INSTEP, KMH, PAIR, PATIENT_1

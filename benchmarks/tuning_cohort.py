@@ -24,6 +24,7 @@ SCREENED_S = 30.0
 TITRATED_MA = tuple(float(ma) for ma in range(12, 52, 2))
 TITRATION_STRIDES, JUDGED_STRIDES = 12, 6
 RESERVE = 1.2  # what a therapist adds for tiring
+CHRONAXIE_US = 459.0  # of motor axons on average (Mogyoros et al., Brain 119, 1996); no patient has just this
 MOST_MA, WIDTH_US = 50.0, 300.0  # so that who needs 35 mA has something left when an electrode slips
 
 
@@ -32,9 +33,9 @@ def drawn(seed: int, attempt: int) -> PatientSettings:
     return draw_patient(attempt, seed, sensors=("right_foot",))
 
 
-def has_a_drop_foot(settings: PatientSettings) -> bool:
+def has_a_drop_foot(settings: PatientSettings, made: Callable[[Any], Any] = VirtualPatient) -> bool:
     """Whether at least half the strides without stimulation clear the ground by less than the band's low end."""
-    alone = VirtualPatient(settings)
+    alone = made(settings)
     alone.advance(round(SCREENED_S * NS_PER_S))
     strides = [one for one in alone.strides if one.foot == settings.affected_foot and one.walking][3:]
     return median(one.toe_clearance_m for one in strides) < 1e-3 * BAND_MM[0]
@@ -96,16 +97,33 @@ def walks_well(strides: list[VirtualStride]) -> bool:
 
 
 def clinic_ma(settings: PatientSettings, geometry: FootGeometry, calibration: FootCalibration) -> float:
+    """What a competent user sets that day with pulses of WIDTH_US: see :func:`titrated_ma`."""
+    return titrated_ma(settings, geometry, calibration, lambda ma: channel_of(ma, extension_s=0.0))
+
+
+def titrated_ma(
+    settings: PatientSettings, geometry: FootGeometry, calibration: FootCalibration,
+    channel: Callable[[float], Channel], made: Callable[[Any], Any] = VirtualPatient,
+) -> float:  # fmt: skip
     """What a competent user sets that day: the current in steps of 2 mA with which this patient walks well with the
     electrodes as they are and 2 mA less does not, found by halving, and a reserve; the greatest where none does.
+
+    ``channel`` makes the pulses that recruit as this current does with pulses of WIDTH_US.
     """
     low, high = -1, len(TITRATED_MA)  # too little, enough
     while high - low > 1:
         middle = (low + high) // 2
-        session = session_with(geometry, channel_of(TITRATED_MA[middle], extension_s=0.0))
-        done = walk(settings, session, calibration, 60.0, TITRATION_STRIDES)
+        session = session_with(geometry, channel(TITRATED_MA[middle]))
+        done = walk(settings, session, calibration, 60.0, TITRATION_STRIDES, made=made)
         if walks_well(done.strides[-JUDGED_STRIDES:]):
             high = middle
         else:
             low = middle
     return min(round(2.0 * RESERVE * TITRATED_MA[high]) / 2.0, MOST_MA) if high < len(TITRATED_MA) else MOST_MA
+
+
+def short_channel(ma: float, **others: Any) -> Channel:
+    """The channel at its greatest current, with a pulse that recruits as ``ma`` does with WIDTH_US, by Weiss's law."""
+    wanted_uc = ma * WIDTH_US
+    width_us = wanted_uc * CHRONAXIE_US / (MOST_MA * (WIDTH_US + CHRONAXIE_US) - wanted_uc)
+    return channel_of(MOST_MA, min(float(round(width_us)), WIDTH_US), **others)

@@ -1,4 +1,4 @@
-"""Parts that other packages bring, by entry points: sensors, stimulators, detectors, stride methods, importers.
+"""Parts that other packages bring, by entry points: sensors, stimulators, detectors, stride methods, importers, tuners.
 
 A package names them in its own ``pyproject.toml`` (docs/extensions.md). One is loaded when a setting, an argument or a
 command names it, never before, and never in place of a part of this program.
@@ -13,6 +13,7 @@ GROUPS: Final = {
     "detector": "fes.detectors",
     "stride method": "fes.stride_methods",
     "importer": "fes.importers",
+    "tuner": "fes.tuners",
 }
 
 

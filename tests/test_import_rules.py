@@ -43,7 +43,7 @@ NARROWER: dict[str, set[str]] = {
     "statemachine": {"transitions", "fes.signals", "fes.limits"},
     "fes.walk_record": {"numpy", "fes.signals", "statemachine.phases"},
     "fes.gate": {"fes.config", "fes.signals", "fes.limits"},
-    "fes.stimulation": {"numpy", "statemachine.phases", "fes.config", "fes.signals", "fes.limits"},
+    "fes.stimulation": {"numpy", "statemachine.phases", "fes.config", "fes.extensions", "fes.signals", "fes.limits"},
     "fes.estimation": {"numpy", "numba", "statemachine", "fes.config", "fes.signals", "fes.limits"},
 }
 ANALYSIS_KNOWS_NOT = {"fes.stimulation", "fes.gate", "fes.live", "fes.control", "fes.session_log", "fes.config.session"}

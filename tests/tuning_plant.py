@@ -1,4 +1,4 @@
-"""A foot that answers to charge, as plain as can be: recruitment ramp, noise, drift. For tests of the tuning."""
+"""A foot that answers to charge, as plain as can be: recruitment ramp, noise, drift; and a tuning that follows it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from fes.config import Channel, ChannelLimits, Tuning
-from fes.signals import NS_PER_S, StrideResult
+from fes.config import Channel, ChannelLimits, ImuDevice, Session, Tuning
+from fes.signals import NS_PER_S, StimStatus, StrideResult
 from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.tuning.report import TuningReport
+from fes.stimulation.tuning.session import Tuners
 
 BAND = {"low": 0.012, "high": 0.035}
 BOUNDS = {
@@ -113,3 +115,27 @@ class Plant:
 def charge_of(parameters: BurstParameters, intensity: float = 1.0) -> float:
     """Of one burst, µC: 30 pulses."""
     return 30.0 * parameters.current_ma * intensity * parameters.mean_width_us * 1e-3
+
+
+class Tuned:
+    """One channel's tuning as the controller has it, fed stride by stride; ``said`` is all that it has reported."""
+
+    def __init__(self, one: Channel) -> None:
+        sensor = ImuDevice(
+            sensor="right_foot", device="xsens_can", rate_hz=100.0, acc_range_g=16.0, gyr_range_dps=2000.0
+        )
+        self.tuners = Tuners(Session(name="test", channels=(one,), sensors=(sensor,)))
+        self.tuner = self.tuners.tuners[one.number]
+        self.said: list[TuningReport] = []
+
+    @property
+    def parameters(self) -> BurstParameters:
+        return self.tuner.parameters
+
+    def walk(self, walked: StrideResult, charge_uc: float | None = None, intensity: float = 1.0) -> list[TuningReport]:
+        """A stride with the charge of the burst in force, or this; what came of it."""
+        given_uc = charge_of(self.parameters, intensity) if charge_uc is None else charge_uc
+        self.tuners.on_status(StimStatus(walked.t_end_ns - 1, 0, 0, True, 1.0, 1.0, 40.0, 1, given_uc))
+        reports = list(self.tuners.on_stride(walked.t_end_ns, "right_foot", walked, intensity))
+        self.said += reports
+        return reports

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from fes.config.base import Settings
+from fes.extensions import extension_names
 
 
 class Band(Settings):
@@ -55,15 +56,16 @@ HIGHEST_TOE_M, HIGHEST_SENSOR_M = 0.2, 1.0  # in a step on even ground
 class Tuning(Settings):
     """How one channel may tune itself from its foot's strides; off unless the session says otherwise.
 
-    ``mode`` "suggest" only says what it would do, "act" does it. ``method`` "run_to_run" moves the current, and where
-    the bounds let it fall the pulse width from mid-swing to contact, "learning" the pulse width over the time within
-    the burst. ``timing`` lets start and end follow the walking speed. The targets
-    are the least toe height in mid-swing, the sensor's greatest height (used where the toe's is not known), and the
-    foot's pitch at initial contact (toe-up positive), or, of a channel on the evertors, its eversion there. The
-    ``max_change_*`` hold for one stride.
+    ``mode`` "suggest" only says what it would do, "act" does it. ``rule``: whose rule proposes, the name of another
+    package's; "" for our own. ``method`` "run_to_run" moves the current, and where the bounds let it fall the pulse
+    width from mid-swing to contact, "learning" the pulse widths of the burst's two parts. ``timing`` lets start and end
+    follow the walking speed. The targets are the least toe height in mid-swing, the sensor's greatest height (used
+    where the toe's is not known), and the foot's pitch at initial contact (toe-up positive), or, of a channel on the
+    evertors, its eversion there. The ``max_change_*`` hold for one stride.
     """
 
     mode: Literal["off", "suggest", "act"] = "off"
+    rule: str = ""
     method: Literal["run_to_run", "learning"] = "run_to_run"
     timing: bool = False
     toe_clearance_m: Band | None = None
@@ -82,6 +84,8 @@ class Tuning(Settings):
     def _knows_where_to_and_how_far(self) -> Self:
         if self.mode == "off":
             return self
+        if self.rule and self.rule not in (brought := extension_names("tuner")):
+            raise ValueError(f"rule = {self.rule!r}: no installed package brings it; there are: {brought}")
         if self.bounds is None:
             needed = "bounds (current_ma, pulse_width_us, start_delay_s, extension_s)"
             raise ValueError(f'mode = "{self.mode}" needs {needed}')

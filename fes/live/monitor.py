@@ -34,7 +34,7 @@ from fes.signals import (
     StrideResult,
     WireFrame,
 )
-from fes.stimulation.tuning.usable import GroundWatch
+from fes.stimulation.ground import GroundWatch
 from statemachine.phases import PhaseChange
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, OperatorAct, 
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
 from fes.stimulation.onset import FALSE_NS
 from fes.stimulation.plan import BY_HAND_NS, LATEST_NS
-from fes.stimulation.tuning.guardrails import SPENT
+from fes.stimulation.tuning.settings import OWN
 from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
 
@@ -400,7 +400,7 @@ def reach_rows(
             continue
         most_ma, most_us = tuned.bounds.current_ma.high, tuned.bounds.pulse_width_us.high
         moved, most = (own.current_ma, most_ma) if tuned.method == "run_to_run" else (own.pulse_width_us, most_us)
-        at_bound = own.t_ns[own.on & (moved >= SPENT * most)]
+        at_bound = own.t_ns[own.on & (moved >= OWN.spent * most)]
         spent_from_s = (int(at_bound[0]) - origin_ns) / NS_PER_S if at_bound.size else float("nan")
         peak_ma, peak_us = (float(values[own.on].max()) for values in (own.current_ma, own.pulse_width_us))
         rows.append(ReachRow(channel.number, peak_ma, peak_us, most_ma, most_us, spent_from_s))

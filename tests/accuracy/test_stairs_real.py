@@ -11,7 +11,7 @@ import pytest
 
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.config import Ground
-from fes.stimulation.tuning.usable import GroundWatch
+from fes.stimulation.ground import GroundWatch
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")

@@ -28,7 +28,6 @@ from fes.report.summary import SessionSummary, summarise
 from fes.report.tables import summary_block
 from fes.session_log import Note, SessionRecord, read_session
 from fes.signals import NS_PER_S
-from fes.stimulation.tuning.answering import NO_ANSWER
 
 
 def texts(summary: SessionSummary, *levels: str) -> list[str]:
@@ -192,7 +191,7 @@ def test_a_toe_that_only_seems_to_touch_is_no_warning(replays: Replays) -> None:
 
 def test_a_foot_that_stopped_answering_is_a_warning() -> None:
     for more in (" and goes back: current 30.0 → 28.0 mA", ""):  # the tuning acts, or only suggests
-        why = f"{NO_ANSWER}: look at the electrodes; tuning has stopped{more}"
+        why = f"toe clearance 1 mm: the foot does not answer, look at the electrodes; tuning has stopped{more}"
         still = Note(make.at(9.0), "warning", "tuning", "channel 0: still going back: current 28.0 → 26.0 mA")
         record = replace(make.walk(4), notes=[Note(make.at(8.0), "warning", "tuning", f"channel 0: {why}"), still])
         assert f"TA left: tuning stopped at 8.0 s: {why}." in texts(summarise(record), "warning")

@@ -32,8 +32,8 @@ def test_stimulation_does_not_break_a_slow_gait(name: str) -> None:
         SEED, lambda drawn: replace(drawn, pattern=name, speed_mps=PATTERNS[name].speed_mps)
     )
     geometry = VirtualPatient(settings).geometry["right_foot"]
-    for method in ("none", "learning"):
-        done = walk(settings, session_of(geometry, method, 26.0, 5.0), calibration, 240.0, STRIDES)
+    for method in ("none", "tuner"):
+        done = walk(settings, session_of(geometry, method), calibration, 240.0, STRIDES)
         assert done.put_back == 0, "no heel rise became a heel put back"
         assert done.latched == ""
         assert len(done.strides) == STRIDES

@@ -10,17 +10,15 @@ import pytest
 from tuning_plant import channel, stride, tuning
 
 from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.ground import GroundWatch
 from fes.stimulation.tuning.report import difference
-from fes.stimulation.tuning.shape import BurstShape, Zones, missing_drives, next_profile, zones_of
 from fes.stimulation.tuning.targets import (
     Reading,
-    SwingTimes,
     interpolate,
     pitch_at_contact_rad,
     read_stride,
-    swing_times,
 )
-from fes.stimulation.tuning.usable import GroundWatch, StrideFilter
+from fes.stimulation.tuning.usable import StrideFilter
 
 NAN = float("nan")
 PITCH = {"low": 0.0, "high": 10.0}
@@ -73,76 +71,6 @@ def test_pitch_is_read_at_contact() -> None:
 
 def test_interpolation_holds_its_ends() -> None:
     assert [interpolate(x, [1.0, 2.0], [5.0, 7.0]) for x in (0.0, 1.0, 1.5, 2.0, 9.0)] == [5.0, 5.0, 6.0, 7.0, 7.0]
-
-
-def test_the_swing_is_parted_where_the_toe_has_passed_low() -> None:
-    times = swing_times(stride(0, 0.02))  # pre-swing 0.4 s, then swing 0.5 s
-    assert times is not None
-    assert times == pytest.approx((0.4, 0.4 + 0.8 * 0.5, 0.9))
-    assert times.share(0.65) == pytest.approx(0.5)
-    assert swing_times(stride(0, 0.02, t_swing_ns=None)) is None
-    zones = zones_of(times, 0.2, 0.15, 30)
-    assert (zones.carried, zones.reached) == (9, 14)  # mid-swing's pulses come 150 ms before; contact is at 0.7 s
-    assert zones_of(times, 0.2, 0.05, 30).carried == 11  # a foot that answers sooner
-    late = zones_of(times, 5.0, 0.15, 30)
-    assert (late.carried, late.reached) == (0, 0)
-
-
-def test_each_bin_answers_for_the_sample_a_delay_after_its_pulses() -> None:
-    zones = Zones(6, 12, 0.1, SwingTimes(0.1, 0.2, 0.8))  # all of it after mid-swing
-    times_s = [0.02 * k for k in range(20, 40)]  # 0.4 … 0.78 s
-    missing = [0.3 if t > 0.52 else -0.1 for t in times_s]
-    for delay_s in (0.08, 0.16):
-        found = missing_drives(zones, delay_s, times_s, missing)
-        assert len(found) == zones.reached
-        for k, drive in enumerate(found):
-            at_s = 0.1 + 0.05 * (k + 0.5) + delay_s
-            assert drive == pytest.approx(np.interp(at_s, times_s, missing)), k
-    assert missing_drives(zones, 0.1, [2.0], [0.2]) == [0.2] * 12  # who reaches nothing goes with the nearest
-
-
-def test_early_pulses_answer_for_all_that_is_left_of_mid_swing() -> None:
-    """A toe that is high on its way needs no less to be carried over where it comes low; later pulses are contact's."""
-    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
-    times_s = [0.02 * k for k in range(20, 40)]
-    low_in_mid_swing = [0.3 if 0.58 <= t < 0.59 else -0.1 for t in times_s]
-    low_at_contact = [0.3 if t > 0.73 else -0.1 for t in times_s]
-    assert missing_drives(zones, 0.1, times_s, low_in_mid_swing) == pytest.approx([0.3] * 8 + [-0.1] * 4)
-    assert missing_drives(zones, 0.1, times_s, [-0.1] * len(times_s)) == pytest.approx([-0.1] * 12)
-    found = missing_drives(zones, 0.1, times_s, low_at_contact)
-    assert found == pytest.approx([-0.1] * 10 + [0.0, 0.3])  # at 0.725 s, between a sample that is and one that is not
-
-
-@pytest.mark.parametrize("at_once", [False, True])
-def test_it_is_raised_at_once_and_within_the_bands_lowered_by_fifths(at_once: bool) -> None:
-    tuned = tuning(method="learning")
-    shape = BurstShape(channel(tuned), tuned, 1.0)
-    base = BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40)
-    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
-
-    def moved_us(missing: float) -> float:
-        return shape.learnt(base, zones, 0.1, [0.5], [missing], 1.0, at_once=at_once, short=False).widths_us[3] - 200.0
-
-    assert moved_us(1.0) == pytest.approx(300.0)  # whatever one stride allows comes of it later
-    assert moved_us(-1.0) == pytest.approx(-tuned.max_change_us * (1.0 if at_once else 0.2))
-    held = shape.learnt(base, zones, 0.1, [0.5], [-1.0], 1.0, at_once=at_once, short=True)
-    assert held == base  # mid-swing is short
-
-
-def test_the_profile_moves_by_what_its_bins_ask_for_and_is_smoothed() -> None:
-    widths = [200.0] * 30
-    profile = next_profile(widths, [-20.0] * 7 + [30.0] * 7)
-    assert profile[0] == pytest.approx(180.0)
-    assert profile[12] == pytest.approx(230.0)
-    assert profile[0] < profile[6] < profile[7] < profile[12]  # smoothed in between
-    assert set(profile[14:]) == {profile[13]}
-    assert next_profile(widths, []) == widths
-
-
-def test_smoothing_takes_nothing_from_a_bin_that_asks_for_more() -> None:
-    widths = [300.0] * 4 + [150.0] * 26  # at its bound, and the toe is too low still
-    assert next_profile(widths, [1.0] * 4 + [-6.0] * 8)[:4] == pytest.approx([301.0, 301.0, 301.0, 300.0])
-    assert next_profile(widths, [-1.0] * 12)[3] == pytest.approx(0.85 * 299.0 + 0.15 * 149.0)  # it asks for less
 
 
 def test_an_evertor_is_judged_by_the_roll_at_contact() -> None:
@@ -260,16 +188,6 @@ def test_two_strides_of_a_turn_are_no_new_speed(seen: StrideFilter) -> None:
     for number in (4, 5):
         assert "turned" in seen.why_skip(stride(number, 0.02, speed_mps=0.3, turn_rad=1.5), 270.0, 1.0)
     assert seen.why_skip(stride(6, 0.02), 270.0, 1.0) == ""
-
-
-def test_however_little_a_stride_may_change_it_is_lowered() -> None:
-    tuned = tuning(method="learning", max_change_us=3.0)
-    shape = BurstShape(channel(tuned), tuned, 1.0)
-    zones = Zones(6, 12, 0.1, SwingTimes(0.3, 0.6, 0.8))
-    after = shape.learnt(
-        BurstParameters(30.0, 0.0, 0.0, (200.0,) * 40), zones, 0.1, [0.5], [-1.0], 1.0, at_once=False, short=False
-    )
-    assert after.widths_us[3] == pytest.approx(199.0)
 
 
 def test_strides_of_who_walks_slowly_differ_by_more_of_their_speed() -> None:

@@ -1,17 +1,45 @@
-"""What the tuning says: each change with its reason, what was identified, in the units that people read."""
+"""What a rule is given and what it proposes, and what the tuning says of it, in the units that people read."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal, Protocol
 
-from fes.config import Tuning
+from fes.signals import StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
-from fes.stimulation.tuning.delay import USUAL_SD_S
-from fes.stimulation.tuning.demand import Demand
-from fes.stimulation.tuning.response import SLOPE_SD, THRESHOLDS, Known, ResponseModel
-from fes.stimulation.tuning.targets import PITCH, ROLL
+from fes.stimulation.tuning.targets import Reading
 
-LEARNT: Final = 0.75  # of what was uncertain beforehand: more is not known yet
-Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen", "identified"]
+Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen"]
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A stride for a rule: walked with ``given`` at ``intensity`` (0–1); ``skipped``: why it teaches nothing, or ""."""
+
+    stride: StrideResult
+    reading: Reading | None  # None where it teaches nothing
+    given: BurstParameters
+    charge_uc: float
+    intensity: float
+    skipped: str = ""
+    noticed: str = ""  # what the watch named in this stride
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What a rule wants: other settings with its reason, or only to say something; ``stop``: nothing any more."""
+
+    text: str
+    wanted: BurstParameters | None = None
+    stop: bool = False
+
+
+class Rule(Protocol):
+    """Of one channel; what an entry point of the group ``fes.tuners`` makes from the channel's settings."""
+
+    def stride(self, seen: Seen) -> Proposal | None:
+        """The newest stride; what is to come of it, None for nothing."""
+
+    def acted(self, what: str, incline: float | None = None) -> None:
+        """A person acted: "resumed", "rolled back", or "ground" with its rise over run (None: unknown)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,61 +85,3 @@ def difference(before: BurstParameters, after: BurstParameters) -> str:
         if was != becomes:
             changes.append(f"{name} {1e3 * was:.0f} → {1e3 * becomes:.0f} ms")
     return ", ".join(changes)
-
-
-def reason(demand: Demand, *, stand_in: str = "") -> str:
-    """Why the intensity changes, in words: the newest value, the usual one, and what follows."""
-    measure, error = demand.measure, demand.error
-    span = measure.band.high - measure.band.low
-
-    def value(level: float) -> str:
-        return f"{(measure.band.low + level * span) * measure.scale:.0f} {measure.unit}"
-
-    if error < 0.0:
-        why = f"lately {value(demand.usual)}, {value(demand.aim)} will do"
-    elif demand.usual < 0.0:
-        why = f"lately {value(demand.usual)}, more is needed"
-    else:
-        differ = max(demand.noise * span * measure.scale, 1.0)
-        why = (
-            f"lately {value(demand.usual)}; strides differ by some {differ:.0f} {measure.unit}, so "
-            f"{value(demand.aim)} is aimed at"
-        )
-    text = f"{measure.text()} in this stride, {why}"
-    return f"{text} ({stand_in})" if stand_in else text
-
-
-def identified(model: ResponseModel, delay_s: Known, tuning: Tuning) -> str:
-    """Threshold, slopes and delay with their standard deviations, or that they are not known yet; "" at first."""
-    bounds = tuning.bounds
-    if bounds is None or not model.strides:
-        return ""
-    most, unit = (bounds.current_ma.high, "mA") if tuning.method == "run_to_run" else (bounds.pulse_width_us.high, "µs")
-    known, unknown = [], []
-    if model.threshold.sd < LEARNT * THRESHOLDS.std():
-        known.append(f"threshold {most * model.threshold.value:.0f} ± {most * model.threshold.sd:.0f} {unit}")
-    else:
-        unknown.append("the threshold")
-    for name, (span, shown) in _spans(tuning).items():
-        if not model.knows(name):
-            continue
-        slope = model.slope(name)
-        if slope.sd < min(abs(slope.value), LEARNT * SLOPE_SD):
-            known.append(f"{name} {span * slope.value / most:.2g} ± {span * slope.sd / most:.1g} {shown}/{unit}")
-        else:
-            unknown.append(f"what lifts {name}" if name not in (PITCH, ROLL) else f"what changes {name}")
-    if delay_s.sd < LEARNT * USUAL_SD_S:
-        known.append(f"answer {1e3 * delay_s.value:.0f} ± {1e3 * delay_s.sd:.0f} ms after the pulse")
-    else:
-        unknown.append("the delay")
-    parts = [", ".join(known)] if known else []
-    return "identified: " + "; ".join(parts + ([f"not known yet: {', '.join(unknown)}"] if unknown else []))
-
-
-def _spans(tuning: Tuning) -> dict[str, tuple[float, str]]:
-    """By measure, its band's width in the unit that people read, and that unit."""
-    found = {
-        "toe clearance": (tuning.toe_clearance_m, 1e3, "mm"), "sensor lift": (tuning.sensor_clearance_m, 1e3, "mm"),
-        PITCH: (tuning.pitch_at_contact_deg, 1.0, "°"), ROLL: (tuning.eversion_at_contact_deg, 1.0, "°"),
-    }  # fmt: skip
-    return {name: (scale * (band.high - band.low), unit) for name, (band, scale, unit) in found.items() if band}

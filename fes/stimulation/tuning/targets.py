@@ -1,4 +1,4 @@
-"""What a stride measured, held against the target bands.
+"""What a stride measured, held against the target bands, and the drive under which it was walked.
 
 Every measure is put on one scale: 0 is the low end of its band, 1 the high end. A stride is as good as its least
 satisfied measure, so that one number says whether more stimulation is needed.
@@ -6,12 +6,15 @@ satisfied measure, so that one number says whether more stimulation is needed.
 
 import math
 from bisect import bisect_right
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean
 from typing import NamedTuple
 
-from fes.config import Band, Tuning
-from fes.signals import MID_SWING_END, FloatArray, StrideResult
+from fes.config import Band, Channel, Tuning
+from fes.signals import FloatArray, StrideResult
+from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.tuning.settings import RuleSettings
 
 PITCH = "foot pitch at contact"
 ROLL = "eversion at contact"
@@ -37,6 +40,10 @@ class Measure:
         """Place in the band: 0 low end, 1 high end."""
         return (self.value - self.band.low) / (self.band.high - self.band.low)
 
+    def format_level(self, level: float) -> str:
+        """A level as people read the value."""
+        return f"{(self.band.low + level * (self.band.high - self.band.low)) * self.scale:.0f} {self.unit}"
+
     def text(self) -> str:
         """The value and its target, in words."""
         low, high = self.band.low * self.scale, self.band.high * self.scale
@@ -59,10 +66,6 @@ class Reading:
     def levels(self) -> dict[str, float]:
         """By measure."""
         return {measure.name: measure.level for measure in self.measures}
-
-    def without(self, names: Collection[str]) -> "Reading":
-        """The same stride without these measures."""
-        return replace(self, measures=tuple(measure for measure in self.measures if measure.name not in names))
 
 
 def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
@@ -126,30 +129,35 @@ def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
     return ys[k - 1] + share * (ys[k] - ys[k - 1])
 
 
-class SwingTimes(NamedTuple):
-    """Seconds since entry into pre-swing: foot off, the end of mid-swing, contact."""
-
-    foot_off_s: float
-    mid_swing_end_s: float
-    contact_s: float
-
-    def share(self, at_s: float) -> float:
-        """The share of the swing that is over at a time."""
-        return (at_s - self.foot_off_s) / (self.contact_s - self.foot_off_s)
-
-
-def swing_times(stride: StrideResult) -> SwingTimes | None:
-    """When the swing was; None without these phases."""
-    begin_ns, swing_ns = stride.t_pre_swing_ns, stride.t_swing_ns
-    contact_ns = stride.t_loading_response_ns or stride.t_stance_ns
-    if begin_ns is None or swing_ns is None or contact_ns is None or not begin_ns <= swing_ns < contact_ns:
-        return None
-    end_ns = swing_ns + MID_SWING_END * (contact_ns - swing_ns)
-    return SwingTimes(1e-9 * (swing_ns - begin_ns), 1e-9 * (end_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
-
-
 def times_ns(stride: StrideResult) -> list[float]:
     """When the stride's trajectory and pitch were."""
     n = len(stride.pitch_rad)
     step = (stride.t_end_ns - stride.t_start_ns) / (n - 1)
     return [stride.t_start_ns + k * step for k in range(n)]
+
+
+class Drives(NamedTuple):
+    """Of the burst's *front*, which carries the toe through mid-swing, and of its *tail*, which holds the foot."""
+
+    front: float
+    tail: float
+
+
+def drives_of(burst: BurstParameters, channel: Channel) -> Drives:
+    """Of what the channel's method moves: the current, and how much of its width is left at the end, or the width."""
+    tuning, first, last = channel.tuning, burst.widths_us[0], burst.widths_us[-1]
+    if tuning is None or tuning.bounds is None:
+        return Drives(1.0, 1.0)
+    if tuning.method == "learning":
+        return Drives(first / tuning.bounds.pulse_width_us.high, last / tuning.bounds.pulse_width_us.high)
+    front = burst.current_ma / tuning.bounds.current_ma.high
+    return Drives(front, front * last / channel.pulse_width_us)
+
+
+def bands_per_drive(seen: Sequence[tuple[float, float]], own: RuleSettings) -> float:
+    """By how many bands all of the drive would lift: by these (drive, level), or as most feet do."""
+    drive, level = fmean(d for d, _ in seen), fmean(at for _, at in seen)
+    spread = sum((d - drive) ** 2 for d, _ in seen)
+    lifted = sum((d - drive) * (at - level) for d, at in seen)
+    slope = (lifted + own.believed / own.drive_per_band) / (spread + own.believed)
+    return min(max(slope, own.flattest), own.steepest)

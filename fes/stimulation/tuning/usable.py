@@ -1,7 +1,4 @@
-"""Which strides teach nothing: a stumble, a turn, a stair, a pause, another speed, pulses that did not come.
-
-Of the strides of one channel's foot, in order.
-"""
+"""Which strides teach nothing: a stumble, a turn, a stair, a pause, another speed, pulses that did not come."""
 
 import math
 from collections import deque
@@ -10,6 +7,7 @@ from typing import Final
 
 from fes.config import Tuning
 from fes.signals import NS_PER_S, StrideResult
+from fes.stimulation.ground import GroundWatch
 
 STOP_S: Final = 0.8  # between the end of a stride and the beginning of the next: a stop
 SPEED_CHANGE, LEAST_SPEED_CHANGE_MPS = 0.25, 0.1  # of the usual speed, and at least
@@ -17,61 +15,21 @@ CHARGE_SHARE: Final = 0.6  # of the usual charge: the rest of the pulses were re
 REMEMBERED: Final = 5
 SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
 BELOW_GROUND_M: Final = -0.015  # no toe is there
-MOST_RISE_M: Final = 0.05  # of a stride on the ground that the session says
-LEAST_STAIR_M: Final = 0.12  # rises by more on any stair, however a sensor scatters
-RISES: Final = 20
-RISE_SDS: Final = 4.0
-UNEVEN_GROUND: Final = "a stair or a slope"
 OTHER_SPEED: Final = "the speed changed"
+JOLTED: Final = "cannot be true"
 NO_CHARGE: Final = "no stimulation was delivered in it"
 
 
 def jolted(stride: StrideResult) -> str:
-    """Why the stride's contact cannot be true; "" when it can.
-
-    A foot that stimulation jerks up jolts the sensor, which looks like initial contact early in the swing; all that is
-    measured from contact on is then wrong.
-    """
+    """Why the stride's contact cannot be true, as when stimulation jerks the foot; "" when it can."""
     swing_ns, contact_ns = stride.t_swing_ns, stride.t_loading_response_ns
     if swing_ns is not None and contact_ns is not None:
         share = (contact_ns - swing_ns) / max(stride.t_end_ns - stride.t_start_ns, 1)
         if share < SHORTEST_SWING:
-            return f"contact was seen {1e-6 * (contact_ns - swing_ns):.0f} ms after foot off, too soon to be true"
+            return f"contact {1e-6 * (contact_ns - swing_ns):.0f} ms after foot off {JOLTED}"
     if math.isfinite(stride.toe_clearance_m) and stride.toe_clearance_m < BELOW_GROUND_M:
-        return f"the toe would have been {-1e3 * stride.toe_clearance_m:.0f} mm below the ground"
+        return f"a toe {-1e3 * stride.toe_clearance_m:.0f} mm below the ground {JOLTED}"
     return ""
-
-
-class GroundWatch:
-    """Tells stairs and slopes from the ground that the session says: one foot's strides, in order.
-
-    By what the sensor alone says of each rise, less what the ground rises. That is off by a few centimetres that are
-    the sensor's own, and scatters; both are followed over the strides that are found usual, within bounds.
-    """
-
-    def __init__(self, *, most_m: float = MOST_RISE_M, free: bool = False) -> None:
-        self._most_m, self._free = most_m, free
-        self._rises: deque[float] = deque(maxlen=RISES)
-
-    def forget(self, *, free: bool) -> None:
-        """Other ground from here on; what was usual before says nothing of it. ``free``: nothing is known of it."""
-        self._free = free
-        self._rises.clear()
-
-    def unusual(self, stride: StrideResult) -> str:
-        """What is unusual about the ground of this valid stride; "" where nothing is."""
-        rise_m = stride.height_gained_m
-        if math.isfinite(stride.free_rise_m) and not self._free:
-            rise_m = stride.free_rise_m - stride.height_gained_m
-        usual_m, allowed_m = 0.0, self._most_m
-        if len(self._rises) >= REMEMBERED and not self._free:
-            usual_m = min(max(median(self._rises), -self._most_m), self._most_m)
-            spread_m = 1.4826 * median(abs(rise - usual_m) for rise in self._rises)
-            allowed_m = max(self._most_m, min(RISE_SDS * spread_m, LEAST_STAIR_M))
-        if abs(rise_m - usual_m) > allowed_m:
-            return f"the foot went {100 * (rise_m - usual_m):+.0f} cm up: {UNEVEN_GROUND}"
-        self._rises.append(rise_m)
-        return ""
 
 
 class StrideFilter:
@@ -89,7 +47,7 @@ class StrideFilter:
         self._charges: deque[float] = deque(maxlen=REMEMBERED)
 
     def operator_changed(self, t_ns: int) -> None:
-        """A person changed the intensity, or stopped or started stimulation."""
+        """A person changed the stimulation."""
         self._changed_ns = t_ns
 
     def ground_changed(self, t_ns: int, *, free: bool) -> None:
@@ -139,7 +97,7 @@ class StrideFilter:
         self._charges.append(relative)
         if relative < CHARGE_SHARE * usual:
             return f"only {relative / usual:.0%} of the usual pulses were delivered"
-        return ""
+        return jolted(stride)
 
 
 def _other_speed(speed_mps: float, usual_mps: float) -> bool:
