@@ -300,4 +300,4 @@ def test_help_loads_nothing_slow() -> None:
 def test_the_gate_loads_neither_controller_nor_drivers() -> None:
     loaded = loaded_after("import fes.gate", *(name for name in modules() if not within(name, {"fes.gate"})))
     names_of_thresholds = {"statemachine", "statemachine.guards"}
-    assert loaded == {"fes", "fes.signals", "fes.limits", *of("fes.config"), *names_of_thresholds}
+    assert loaded == {"fes", "fes.signals", "fes.limits", "fes.extensions", *of("fes.config"), *names_of_thresholds}

@@ -52,7 +52,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         first, count = summary.faults[0], count_of(len(summary.faults), "fault")
         where = f"the first at {first.time_s:.1f} s ({first.source}): {first.text}"
         yield Finding("alert", f"{count} noted, {where}. {remedy(first.text)}".rstrip())
-    yield from summary.told
+    yield from summary.sensor_findings
     if done := summed_up(summary.by_hand):
         yield Finding("info", f"By hand: {done}.")
     if not summary.channels and summary.kind != "analysis":
@@ -253,7 +253,7 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
         yield Finding("warning", "No stride was found: the foot did not walk, or the sensor did not see it.")
         return
     for name, foot in summary.feet.items():
-        explained = any(told.sensor == name and told.level in ("warning", "alert") for told in summary.told)
+        explained = any(told.sensor == name and told.level in ("warning", "alert") for told in summary.sensor_findings)
         if foot.strides >= FEWEST_STRIDES and foot.valid < DOUBTFUL_SHARE * foot.strides:
             text = f"{readable(name).capitalize()}: only {foot.valid} of {foot.strides} strides could be measured."
             asked = f" Does this sensor sit on the {readable(name)}, and are units and rate in the sidecar right?"

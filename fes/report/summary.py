@@ -243,7 +243,7 @@ class SessionSummary:
     thresholds: str = ""
     by_hand: tuple[HandRow, ...] = ()
     exercise: ExerciseSummary | None = None
-    told: tuple[Finding, ...] = ()  # of the sensors, by whoever examined them
+    sensor_findings: tuple[Finding, ...] = ()  # of the sensors, by whoever examined them
 
     @property
     def faults(self) -> tuple[quality.Notice, ...]:
@@ -260,7 +260,7 @@ class SessionSummary:
 
         every = findings(self)
         level, words = verdict(every, only_data=is_only_data(self))
-        numbers = {key: value for key, value in plain(self).items() if key != "told"}
+        numbers = {key: value for key, value in plain(self).items() if key != "sensor_findings"}
         judged = {"level": level, "verdict": words, "findings": plain(every)}
         return {"format": FORMAT, **numbers, **judged, "remarks": plain(self.notices)}
 
@@ -362,7 +362,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         thresholds=thresholds_set(settings),
         by_hand=hand_rows(record, origin_ns, settings.stimulation.intensity if settings else 1.0),
         exercise=exercise_summary(record, settings),
-        told=(*record.findings, *quality.flag_findings(flags, sensors)),
+        sensor_findings=(*record.findings, *quality.flag_findings(flags, sensors)),
     )
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts, sensors, flags)
 

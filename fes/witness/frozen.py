@@ -8,9 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from fes.recording.tracks import PER_SAMPLE, Track
-from fes.signals import FloatArray
+from fes.signals import G_MPS2, FloatArray
 
 FROZEN_NS: Final = 60_000_000  # both triads bit-equal for so long; no real sensor did so for 40 ms (docs/safety.md)
+RESTS_RADPS, RESTS_MPS2 = 0.1, 0.5  # a foot that turns or is pushed by less may rest
+LEAVES_RADPS, LEAVES_MPS2 = 0.5, 3.0  # in one sample no foot begins to move by more
 DEAD_SHARE: Final = 0.05  # of an axis' samples that are exactly 0
 LEAST_BAND_RADPS: Final = 0.005  # 0.3 deg/s
 OVER_RESOLUTION: Final = 4.0  # the band is so many times the finest step between two readings
@@ -22,9 +24,19 @@ def frozen_rows(track: Track) -> np.ndarray[Any, np.dtype[np.bool_]]:
     same = np.concatenate(([False], (values[1:] == values[:-1]).all(axis=1)))
     edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False])).astype(np.int8)))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if track.t_sensor_ns[end - 1] - track.t_sensor_ns[begin - 1] < FROZEN_NS:
+        brief = track.t_sensor_ns[end - 1] - track.t_sensor_ns[begin - 1] < FROZEN_NS
+        if brief or _rests(values[begin - 1 : end + 1]):
             same[begin:end] = False
     return same
+
+
+def _rests(values: FloatArray) -> bool:
+    """Whether a repeated stretch (N, 6) may be rest: of a sensor without noise, as a formula makes it, and such a one
+    does not jump as the rest ends."""
+    force, rate = np.linalg.norm(values[0, :3]), np.linalg.norm(values[0, 3:])
+    leaves = np.abs(values[-1] - values[0])
+    still = rate < RESTS_RADPS and abs(force - G_MPS2) < RESTS_MPS2
+    return bool(still and leaves[3:].max() < LEAVES_RADPS and leaves[:3].max() < LEAVES_MPS2)
 
 
 def without_frozen(track: Track) -> Track:

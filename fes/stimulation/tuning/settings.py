@@ -43,8 +43,8 @@ class RuleSettings:
     untaught: int = 10  # stimulated ones in a row that taught nothing: a hint (chosen)
 
     # the watch (dev: whole, slipped, drifting and spastic walks)
-    now: int = 7  # strides that are held against …
-    then: int = 8  # … earlier ones, of which
+    newest: int = 7  # strides that are held against …
+    earlier: int = 8  # … earlier ones, of which
     enough: int = 5  # at least so many must be at the same speed,
     same_speed: float = 0.12  # share of it
     drift_lag: int = 18  # between these, for what goes slowly

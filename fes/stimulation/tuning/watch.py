@@ -59,7 +59,7 @@ class FaultWatch:
         return found
 
     def _named(self) -> str:
-        sudden, slow = self._lost(self._own.now), self._lost(self._own.drift_lag)
+        sudden, slow = self._lost(self._own.newest), self._lost(self._own.drift_lag)
         if sudden is None:
             return ""
         if sudden.share < self._own.slipped and sudden.stays:
@@ -69,13 +69,13 @@ class FaultWatch:
     def _falls(self, lag: int, count: int) -> "list[_Fall]":
         """Of each measure, by how much the last strides lie below those that ended ``lag`` strides ago."""
         own, strides = self._own, list(self._strides)
-        now, then = strides[-count:], strides[-lag - own.then : -lag]
-        usual_mps = median(each.speed_mps for each in now)
+        newest, then = strides[-count:], strides[-lag - own.earlier : -lag]
+        usual_mps = median(each.speed_mps for each in newest)
         then = [each for each in then if abs(each.speed_mps - usual_mps) <= own.same_speed * usual_mps]
         falls = []
         for name, at_contact in strides[-1].at_contact.items():
             before = [each.seen[name] for each in then if name in each.seen]
-            after = [each.seen[name] for each in now if name in each.seen]
+            after = [each.seen[name] for each in newest if name in each.seen]
             if len(before) < own.enough or len(after) < count:
                 continue
             slope = bands_per_drive(self._first[name], own)
@@ -91,7 +91,7 @@ class FaultWatch:
         own = self._own
         if len(self._strides) < lag + own.enough:
             return None
-        falls = [fall for fall in self._falls(lag, own.now) if fall.all_of_it > own.little]
+        falls = [fall for fall in self._falls(lag, own.newest) if fall.all_of_it > own.little]
         if not falls:
             return None
         weight = sum((fall.all_of_it / fall.sd) ** 2 for fall in falls)
