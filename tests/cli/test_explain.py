@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -421,9 +421,8 @@ def test_why_the_tuner_went_where_it_went(tmp_path: Path) -> None:
     changes = [note for note in record.notes if note.source == "tuning" and " → " in note.text]
     (tuned,) = explained(log, 25.95)["tuning"]
     assert [text for _, text in tuned["changes"]] == [note.text.removeprefix("channel 0: ") for note in changes]
-    last_ma = [re.findall(r"current [\d.]+ → ([\d.]+) mA", note.text) for note in changes if "current" in note.text][
-        -1
-    ][0]
+    currents = [re.search(r"current [\d.]+ → ([\d.]+) mA", note.text) for note in changes]
+    last_ma = [found[1] for found in currents if found][-1]
     assert f"current 12.0 → {last_ma} mA" in tuned["why"]
     assert f" in {len(changes)} changes" in tuned["why"]
     assert "changed nothing" in explained(log, 11.0)["tuning"][0]["why"]

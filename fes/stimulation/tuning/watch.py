@@ -30,7 +30,7 @@ class FaultWatch:
 
     def __init__(self, channel: Channel, settings: RuleSettings = OWN) -> None:
         self._channel, self._own = channel, settings
-        self._strides: deque[_Stride] = deque(maxlen=settings.drift_lag + settings.then + 1)
+        self._strides: deque[_Stride] = deque(maxlen=settings.drift_lag + settings.earlier + 1)
         self._first: dict[str, list[tuple[float, float]]] = {}  # the climb tells how the foot answers
         self._doubts = ""
 
