@@ -88,9 +88,8 @@ class Tuner:
         if stop:
             self.freeze(t_ns, text)
             self._going_back = self.tuning.mode == "act"
-            return self._back(t_ns, f"{text}; tuning has stopped and goes back") or self._report(
-                t_ns, "roll_back", f"{text}; tuning has stopped", before
-            )
+            back = self._back(t_ns, f"{text}; tuning has stopped and goes back") if self._going_back else None
+            return back or self._report(t_ns, "roll_back", f"{text}; tuning has stopped", before)
         lowered = seen.intensity < self._usual_intensity
         if lowered and strength(after) > max(strength(before), strength(self.start)):
             after = before  # with the intensity up again it would be far more at once
