@@ -13,6 +13,9 @@ from closed_loop_walk import walk
 from tuning import FAULT_STRIDE, SECONDS, STRIDES, TRIALS, person, session_of
 from tuning_cohort import BAND_MM, WIDTH_US
 
+from fes.control.controller import Controller
+from fes.simulation.forward import VirtualPatient
+
 WIDE, HIGH, LEFT, GAP = 900, 200, 60, 40
 FRONT, TAIL, GREY, RED = "#1f5fa8", "#d08a1c", "#d9e6d3", "#b03030"
 
@@ -44,7 +47,7 @@ def main() -> None:
     widths: list[tuple[float, float]] = []
     happened: list[int] = []
 
-    def during(patient, t_ns) -> None:  # type: ignore[no-untyped-def]
+    def during(patient: VirtualPatient, _: int) -> None:
         walked = sum(stride.foot == "right_foot" for stride in patient.strides)
         if walked > len(widths):
             now = controller[0].tuning.tuners[0].parameters.widths_us
@@ -53,7 +56,7 @@ def main() -> None:
             happened.append(len(widths))
             trial.acts[FAULT_STRIDE](patient, one.settings)
 
-    controller: list = []  # type: ignore[type-arg]
+    controller: list[Controller] = []
     session = session_of(one.made(one.settings).geometry["right_foot"], "tuner")
     done = walk(one.settings, session, one.calibration, SECONDS, STRIDES, during, prepare=controller.append)
     clear_mm = [1e3 * stride.toe_clearance_m for stride in done.measured if stride.valid][:STRIDES]

@@ -161,7 +161,7 @@ def _frozen(sensor: str, track: Track) -> Iterator[Finding]:
         yield Finding("warning", text, **about, remedy="check the sensor's link")
     if band := dead_band_radps(track):
         cause = f"the gyroscope reads exactly 0 below {math.degrees(band):.1f} deg/s, a dead band"
-        text = f"Sensor {_name(sensor)}: {cause}; numbers hardly change by it."
+        text = f"Sensor {_name(sensor)}: {cause}."
         yield Finding("info", text, code="dead_band", sensor=sensor, cause=cause)
 
 
