@@ -73,7 +73,7 @@ class Tuning(Settings):
     pitch_at_contact_deg: Band | None = None
     eversion_at_contact_deg: Band | None = None
     bounds: TuningBounds | None = None
-    gain: float = Field(default=0.6, gt=0, le=1)
+    gain: float = Field(default=0.8, gt=0, le=1)
     max_change_ma: Step = Field(default=2.0, le=5.0)
     max_change_us: Step = Field(default=20.0, le=50.0)
     max_change_s: Step = Field(default=0.02, le=0.1)

@@ -232,22 +232,12 @@ def test_steps_are_those_of_the_device_and_end_at_the_bounds() -> None:
     one = channel()
     assert one.tuning is not None
     start = BurstParameters.for_channel(one)
-    after = held(start, replace(start, current_ma=30.7, widths_us=(300.4,) * BINS), start, one.tuning)
+    after = held(start, replace(start, current_ma=30.7, widths_us=(300.4,) * BINS), one.tuning)
     assert after == replace(start, current_ma=30.5)
     off_grid = replace(start, current_ma=39.3)
-    assert held(off_grid, replace(start, current_ma=99.0), start, one.tuning).current_ma == 40.0
+    assert held(off_grid, replace(start, current_ma=99.0), one.tuning).current_ma == 40.0
     with pytest.raises(ValueError, match="no burst"):
-        held(start, replace(start, widths_us=(300.0,)), start, one.tuning)
-
-
-def test_only_the_start_may_go_back_at_once_to_the_sessions_own() -> None:
-    one = channel()
-    assert one.tuning is not None
-    start = BurstParameters.for_channel(one)
-    late = replace(start, start_delay_s=0.2, extension_s=0.2)
-    back = held(late, start, start, one.tuning)
-    assert back.start_delay_s == start.start_delay_s
-    assert back.extension_s == pytest.approx(0.18)
+        held(start, replace(start, widths_us=(300.0,)), one.tuning)
 
 
 def test_a_rule_of_another_package_is_named_in_the_session(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,22 +44,20 @@ def test_every_state_can_be_left_and_every_event_matters_somewhere() -> None:
     assert {event for row in TRANSITIONS.values() for event in row} == set(Event)
     for state, row in TRANSITIONS.items():
         assert any(to is not state for to in row.values()), state
-        assert Event.UNEVEN in row or state is State.AWAY, "from everywhere a stair leads to the session's own settings"
+        assert Event.FAULT in row or state is State.SPARE, "a fault counts in every state"
 
 
 def test_what_is_missing_is_given_at_once_as_far_as_one_stride_may() -> None:
     tuned = walked([-0.5, -0.5])
-    assert own(tuned).state is State.CLIMB
     assert tuned.parameters.current_ma == 32.0
     (change,) = [report for report in tuned.said if report.kind == "change"]
     assert change.text == (
-        "toe clearance 1 mm (target 12–35) in this stride, lately 1 mm, more is needed: current 30.0 → 32.0 mA"
+        "toe clearance 1 mm (target 12–35), 22 mm is aimed at, more is needed: current 30.0 → 32.0 mA"
     )
 
 
 def test_in_the_band_nothing_changes() -> None:
-    tuned = walked([0.45, 0.55, 0.5, 0.45, 0.55, 0.62, 0.5])
-    assert own(tuned).state is State.HOLD
+    tuned = walked([0.4, 0.5, 0.45, 0.4, 0.5, 0.62, 0.45])
     assert tuned.parameters == tuned.tuner.start
     assert not [report for report in tuned.said if report.kind == "change"]
 
@@ -69,30 +67,10 @@ def test_one_high_stride_takes_nothing_away_three_do_by_three_per_cent() -> None
     assert tuned.parameters.current_ma == 30.0, "once may be chance"
     for number in range(4, 7):
         tuned.walk(stride(number, levelled(0.95)))
-    assert own(tuned).state is State.EASE
     before = tuned.parameters.current_ma
     assert 30.0 > before >= 30.0 - 3 * OWN.eased * 40.0
     tuned.walk(stride(7, levelled(0.95)))
     assert 0.0 < before - tuned.parameters.current_ma <= OWN.eased * 40.0
-
-
-def test_above_the_band_it_is_lowered_as_fast_as_one_stride_may() -> None:
-    tuned = walked([1.4, 1.4, 1.4, 1.4])
-    assert tuned.parameters.current_ma <= 30.0 - 2 * 2.0
-
-
-def test_nothing_is_lowered_while_a_measure_lies_below_its_band() -> None:
-    tuned = Tuned(channel(tuning(method="learning", pitch_at_contact_deg=PITCH, bounds=WIDE, **TEN)))
-    for number in range(8):
-        tuned.walk(stride(number, levelled(0.9), pitch_deg=-3.0))
-    assert min(tuned.parameters.widths_us) >= 300.0, "the toe has enough, the heel does not come first"
-
-
-def test_unless_the_other_lies_above_its_own() -> None:
-    tuned = Tuned(channel(tuning(method="learning", pitch_at_contact_deg=PITCH, bounds=WIDE, **TEN)))
-    for number in range(8):
-        tuned.walk(stride(number, levelled(1.5), pitch_deg=-3.0))
-    assert tuned.parameters.widths_us[0] < 300.0
 
 
 @pytest.mark.parametrize("method", ["run_to_run", "learning"])
@@ -143,41 +121,29 @@ def test_evertors_are_held_in_the_middle_of_their_band() -> None:
     assert "eversion at contact" in tuned.said[-1].text
 
 
-def test_on_stairs_the_sessions_own_settings_come_back_and_after_them_what_was_right() -> None:
+def test_on_stairs_that_nobody_told_of_all_stays_as_it_is() -> None:
     tuned = walked([-0.5] * 5)
-    learnt = tuned.parameters.current_ma
-    assert learnt > 34.0
+    learnt = tuned.parameters
     for number in range(5, 12):
-        tuned.walk(stride(number, levelled(0.5), height_gained_m=0.17))
-    assert own(tuned).state is State.AWAY
-    assert tuned.parameters.current_ma == 30.0
-    assert any("; the session's own settings there: current" in report.text for report in tuned.said)
-    for number in range(12, 18):
-        tuned.walk(stride(number, levelled(0.5)))
-    assert tuned.parameters.current_ma == pytest.approx(learnt, abs=1.0)
-    assert own(tuned).state is not State.BACK
+        tuned.walk(stride(number, levelled(-0.5), height_gained_m=0.17))
+    assert tuned.parameters == learnt
+    assert "a stair or a slope" in tuned.said[-1].text
 
 
 def test_what_was_right_on_other_ground_comes_back_with_it() -> None:
     tuned = walked([-0.5] * 4)
     flat_ma, at = tuned.parameters.current_ma, 4
-    for incline, then_ma in ((0.1, 30.0), (0.0, flat_ma)):
-        now = stride(at, levelled(0.5))
+    for incline, level in ((0.1, 0.9), (0.0, 0.5)):  # uphill the toe lies high, so less will do
+        now = stride(at, levelled(level))
         tuned.tuners.on_act(OperatorAct(now.t_start_ns, OperatorAction.SET_INCLINE, incline))
         for number in range(at, at + 10):
-            tuned.walk(stride(number, levelled(0.5), height_gained_m=incline * 0.8))
+            rise_m = incline * 0.8
+            tuned.walk(stride(number, levelled(level), height_gained_m=rise_m, free_rise_m=rise_m))
         at += 10
-        assert tuned.parameters.current_ma == pytest.approx(then_ma, abs=2.0), "what was walked with last"
-
-
-def test_at_another_speed_the_burst_begins_at_once_as_the_session_says() -> None:
-    tuned = Tuned(channel(tuning(timing=True, max_change_s=0.02)))
-    for number in range(14):
-        tuned.walk(stride(number, MID_M))
-    assert tuned.parameters.start_delay_s > 0.02
-    tuned.walk(stride(14, MID_M, speed_mps=1.3))
-    assert tuned.parameters.start_delay_s == 0.0
-    assert "even until this speed is known" in tuned.said[-1].text
+        if incline:
+            assert tuned.parameters.current_ma < flat_ma - 3.0
+    assert tuned.parameters.current_ma == pytest.approx(flat_ma, abs=2.0), "what was walked with last on even ground"
+    assert own(tuned).state is State.FOLLOW
 
 
 def test_start_and_end_follow_the_phases_within_their_steps() -> None:
@@ -187,9 +153,9 @@ def test_start_and_end_follow_the_phases_within_their_steps() -> None:
         tuned.walk(stride(number, MID_M))
         assert abs(tuned.parameters.start_delay_s - before.start_delay_s) <= 0.02 + 1e-9
     wanted_s = 0.4 + OWN.up_at * 0.5 - OWN.answer_s - tuned.tuner.channel.rise_s
-    assert tuned.parameters.start_delay_s == pytest.approx(wanted_s, abs=OWN.timing_dead_s + 0.005)
+    assert tuned.parameters.start_delay_s == pytest.approx(wanted_s, abs=0.005)
     assert tuned.parameters.extension_s == 0.0, "the loading response is over sooner than the force"
-    assert any("timing follows the speed (0.6 m/s, stride 1.40 s)" in report.text for report in tuned.said)
+    assert any("timing follows the speed (0.6 m/s)" in report.text for report in tuned.said)
 
 
 def test_a_jerked_foot_is_given_less() -> None:
@@ -257,4 +223,4 @@ def test_after_a_named_fault_nothing_is_lowered_for_five_strides() -> None:
         assert proposed_ma(number, "the electrodes" if number == 4 else "") == 30.0
         assert rule.state is State.SPARE
     assert proposed_ma(20) < 30.0
-    assert rule.state is State.EASE
+    assert rule.state is State.FOLLOW

@@ -16,10 +16,8 @@ from fes.stimulation.tuning.report import Kind, Rule, Seen, TuningReport, differ
 QUANTA: Final = (0.5, 0.005, 0.005, 1.0)  # mA, s, s, µs: the devices' steps; less would be a change on paper only
 
 
-def held(before: BurstParameters, wanted: object, start: BurstParameters, tuning: Tuning) -> BurstParameters:
+def held(before: BurstParameters, wanted: object, tuning: Tuning) -> BurstParameters:
     """What may become of ``before`` with one stride on the way to ``wanted``.
-
-    Only a burst's start may go at once, and only to the session's own: for another speed.
 
     Raises:
         ValueError: it is none, or holds what is no number.
@@ -29,12 +27,9 @@ def held(before: BurstParameters, wanted: object, start: BurstParameters, tuning
     if not isinstance(wanted, BurstParameters) or bounds is None or len(wanted.widths_us) != len(before.widths_us):
         raise ValueError("what it proposes is no burst")
     most_s, (by_ma, by_s, _, by_us) = tuning.max_change_s, QUANTA
-    delay_s = start.start_delay_s
-    if wanted.start_delay_s != delay_s:
-        delay_s = _step(before.start_delay_s, wanted.start_delay_s, most_s, by_s, bounds.start_delay_s)
     return BurstParameters(
         _step(before.current_ma, wanted.current_ma, tuning.max_change_ma, by_ma, bounds.current_ma),
-        delay_s,
+        _step(before.start_delay_s, wanted.start_delay_s, most_s, by_s, bounds.start_delay_s),
         _step(before.extension_s, wanted.extension_s, most_s, by_s, bounds.extension_s),
         tuple(
             _step(was, width, tuning.max_change_us, by_us, bounds.pulse_width_us)
@@ -82,7 +77,7 @@ class Tuner:
             if proposal is None:
                 return None
             text, stop, wanted = str(proposal.text), bool(proposal.stop), proposal.wanted
-            after = before if wanted is None else held(before, wanted, self.start, self.tuning)
+            after = before if wanted is None else held(before, wanted, self.tuning)
         except Exception as error:  # whatever another's rule raises
             text, stop, after = f"its rule cannot be used ({type(error).__name__})", True, before
         if stop:
@@ -109,7 +104,7 @@ class Tuner:
         before, start = self.parameters, self.start
         widths = tuple(map(min, before.widths_us, start.widths_us))
         aim = replace(start, current_ma=min(before.current_ma, start.current_ma), widths_us=widths)
-        self.parameters = held(before, aim, start, self.tuning)
+        self.parameters = held(before, aim, self.tuning)
         changes = difference(before, self.parameters)
         self._going_back = bool(changes)
         return self._report(t_ns, "roll_back", f"{text}: {changes}", before) if changes else None

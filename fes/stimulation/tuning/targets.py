@@ -5,11 +5,12 @@ satisfied measure, so that one number says whether more stimulation is needed.
 """
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
 from typing import NamedTuple
+
+import numpy as np
 
 from fes.config import Band, Channel, Tuning
 from fes.signals import FloatArray, StrideResult
@@ -55,32 +56,23 @@ class Reading:
     """A stride's measures, the least satisfied first."""
 
     measures: tuple[Measure, ...]
-    stand_in: str = ""  # says so where one measure stands in for another
 
     @property
     def level(self) -> float:
         """Of the least satisfied measure."""
         return self.measures[0].level
 
-    @property
-    def levels(self) -> dict[str, float]:
-        """By measure."""
-        return {measure.name: measure.level for measure in self.measures}
-
 
 def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
     """The stride's measures; where none can be had, why, in words."""
     measures: list[Measure] = []
     missing: list[str] = []
-    stand_in = ""
     toe, sensor, pitch = tuning.toe_clearance_m, tuning.sensor_clearance_m, tuning.pitch_at_contact_deg
     eversion = tuning.eversion_at_contact_deg
     if toe is not None and math.isfinite(stride.toe_clearance_m):
         measures.append(Measure("toe clearance", stride.toe_clearance_m, toe, 1e3, "mm"))
     elif sensor is not None and math.isfinite(stride.clearance_m):
         measures.append(Measure("sensor lift", stride.clearance_m, sensor, 1e3, "mm"))
-        if toe is not None:
-            stand_in = "the toe's height is not known (no foot geometry), the sensor's lift stands in for it"
     elif toe is not None or sensor is not None:
         missing.append(
             "the clearance could not be measured (toe clearance needs [geometry] in the session, or set "
@@ -100,7 +92,7 @@ def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
             missing.append("the foot's roll at initial contact was not seen")
     if not measures:
         return "; ".join(missing)
-    return Reading(tuple(sorted(measures, key=lambda measure: measure.level)), stand_in)
+    return Reading(tuple(sorted(measures, key=lambda measure: measure.level)))
 
 
 def pitch_at_contact_rad(stride: StrideResult) -> float:
@@ -117,23 +109,12 @@ def _at_contact(stride: StrideResult, angle_rad: FloatArray) -> float:
     contact_ns = stride.t_loading_response_ns
     if contact_ns is None or len(angle_rad) < 2 or not stride.t_start_ns <= contact_ns <= stride.t_end_ns:
         return math.nan
-    return interpolate(contact_ns, times_ns(stride), angle_rad.tolist())
+    return float(np.interp(contact_ns, times_ns(stride), angle_rad))
 
 
-def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
-    """Linear between the points (``xs`` increasing), the end values beyond."""
-    k = bisect_right(xs, x)
-    if k == 0 or k == len(xs):
-        return ys[0] if k == 0 else ys[-1]
-    share = (x - xs[k - 1]) / (xs[k] - xs[k - 1])
-    return ys[k - 1] + share * (ys[k] - ys[k - 1])
-
-
-def times_ns(stride: StrideResult) -> list[float]:
+def times_ns(stride: StrideResult) -> FloatArray:
     """When the stride's trajectory and pitch were."""
-    n = len(stride.pitch_rad)
-    step = (stride.t_end_ns - stride.t_start_ns) / (n - 1)
-    return [stride.t_start_ns + k * step for k in range(n)]
+    return np.linspace(stride.t_start_ns, stride.t_end_ns, len(stride.pitch_rad))
 
 
 class Drives(NamedTuple):
