@@ -3,11 +3,12 @@
     python benchmarks/disorder.py [--patients 60] [--only SET …] [--data FOLDER] [--json FILE]
 
 *Sound*: every real foot as it is, by its own calibration, known and unseen sets, feet and shanks, and virtual patients,
-unstimulated (both feet) and stimulated in closed loop (the affected one). Namings are told per 1,000 strides, and every
-foot that was named with the share of its strides that are in order by ``swing_judge``: a foot mostly out of order ought
-to be named. *Planted*: the axis has the wrong sign; the sensor turns by 180° about the vertical in mid-walk; the other
-foot's sensor is worn, with this foot's calibration; the foot comes to shuffle. Counted are the strides (swings by
-``fes/analysis/swings.py``; of a shuffle each scrape) that begin after the plant and before the naming.
+unstimulated (both feet; on a belt whose speed changes, too) and stimulated in closed loop (the affected one). Namings
+are told per 1,000 strides, and every foot that was named with the share of its strides that are in order by
+``swing_judge``: a foot mostly out of order ought to be named. *Planted*: the axis has the wrong sign; the sensor turns
+by 180° about the vertical in mid-walk; the other foot's sensor is worn, with this foot's calibration; the foot comes to
+shuffle. Counted are the strides (swings by ``fes/analysis/swings.py``; of a shuffle each scrape) that begin after the
+plant and before the naming.
 
 A shuffle is made after what a severe foot of a stroke survivor showed: the foot stands 0.6–1.5 s, then is scraped along
 the floor for 2–4 s (*short shuffle*: 1–3 s), in slips of 2–12 cm and 0.15–0.35 s with rests of 0.05–0.5 s between
@@ -36,7 +37,6 @@ from command_line import console_of, parser_of, verdict
 from every_walker import SETS, Foot, calibrate, feet_of, swings_of
 from figures import Figures
 from figures import Result as Kept
-from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import in_order
 from tuning_cohort import channel_of
@@ -49,7 +49,7 @@ from fes.estimation.sensor_choice import Calibration, tracker_of
 from fes.recording import Track
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, IntArray, StrideResult
 from fes.simulation.forward import PatientSettings, VirtualPatient, draw_patient
-from fes.simulation.forward.closed_loop import calibration_walk, recorded_walk
+from fes.simulation.forward.closed_loop import calibration_walk, recorded_walk, recording_of
 from fes.stimulation.order import OrderJudge
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import PhaseChange, Transition
@@ -59,9 +59,12 @@ SHARE = 0.95
 LEAST_STRIDES = 12  # of a walk, to be planted in; twice as many where that is in its middle
 SEED = 36
 WALK_S, SHUFFLE_S = 60.0, 60.0
+SLOWER, FASTER, FASTEST_MPS = 0.5, 1.8, 2.0  # of the speed before
 SCRAPE_S, SHORT_SCRAPE_S = (2.0, 4.0), (1.0, 3.0)
 BEFORE_S = 20.0
 CURRENT_MA, INTENDED = 25.0, "stimulated"
+CHANGED = "belt changed"
+SOUND = "sound", INTENDED, CHANGED  # what is not
 PLANTED = "wrong sign", "shuffle", "short shuffle"  # what is to be named
 REMEMBERED = 5
 
@@ -261,6 +264,24 @@ def virtual(patients: int) -> Iterator[Result]:
             yield from shuffles(track, calibration, 1000 + number, group, who)
             if sensor == settings.affected_foot:
                 yield stimulated(settings, calibration, who)
+        yield from at_another_speed(settings, number)
+
+
+def at_another_speed(settings: PatientSettings, number: int) -> Iterator[Result]:
+    """The belt goes faster or slower in mid-walk, all at once."""
+    patient = VirtualPatient(settings)
+    samples = patient.advance(2 * NS_PER_S)
+    patient.walk()
+    samples += patient.advance(round((2.0 + WALK_S) * NS_PER_S))
+    patient.set_speed(min(settings.speed_mps * (FASTER if number % 2 else SLOWER), FASTEST_MPS))
+    samples += patient.advance(round((2.0 + 2.0 * WALK_S) * NS_PER_S))
+    for sensor, track in recording_of(patient, samples, "", "").tracks.items():
+        try:
+            calibration = calibrate(track)
+        except CalibrationError:
+            continue  # told of above
+        swings = find_swings(track.t_ns, track.acc_mps2, track.gyr_radps)
+        yield replace(watched(track, calibration).sound("virtual", f"{number} {sensor}", swings), case=CHANGED)
 
 
 def stimulated(settings: PatientSettings, calibration: FootCalibration, who: str) -> Result:
@@ -307,7 +328,7 @@ def share_errors(
     return errors, own
 
 
-def fallback(feet: Iterable[Foot]) -> Table:
+def fallback(feet: Iterable[Foot]) -> Figures:
     """Errors of T1 and T3 by the other foot, on walks of which both feet have a sound cycle."""
     runs: dict[tuple[str, str], dict[str, list[PhaseChange]]] = defaultdict(dict)
     for foot in feet:
@@ -315,7 +336,7 @@ def fallback(feet: Iterable[Foot]) -> Table:
             runs[foot.person, foot.run][foot.track.sensor] = watched(foot.track, calibrate(foot.track)).changes
         except CalibrationError:
             continue
-    table = Table("event", "shares of", "n", "median ms", "5–95 % ms", "within ±60 ms, %")
+    rows = []
     for kind in (Transition.T1, Transition.T3):
         cases = [
             (person, times_of(both[other], Transition.T3), times_of(both[mine], kind))
@@ -332,8 +353,10 @@ def fallback(feet: Iterable[Foot]) -> Table:
             low, middle, high = np.percentile(errors, (5, 50, 95))
             near = f"{100.0 * np.mean(np.abs(errors) <= 60.0):.0f}"
             row = f"{middle:+.0f}", f"{low:+.0f} … {high:+.0f}", near
-            table.add_row(kind.name, whose, str(len(errors)), *row)
-    return table
+            rows.append([kind.name, whose, str(len(errors)), *row])
+    return Figures(
+        "By the other foot's cycle", ["event", "shares of", "n", "median ms", "5–95 % ms", "within ±60 ms, %"], rows
+    )
 
 
 def times_of(changes: Iterable[PhaseChange], kind: Transition) -> IntArray:
@@ -348,7 +371,7 @@ def tables_of(results: Sequence[Result]) -> list[Figures]:
     planted, sound = defaultdict[tuple[str, str], list[Result]](list), defaultdict[str, list[Result]](list)
     for one in results:
         name = one.group.split(",")[0]
-        if one.case in ("sound", INTENDED):
+        if one.case in SOUND:
             health = one.group.rpartition(", ")[2] if name == "stroke_walks" else one.case * (name == "virtual")
             sound[f"{name}, {health}" if health else name].append(one)
         else:
@@ -385,7 +408,7 @@ def named_by_mistake(results: Iterable[Result]) -> list[str]:
         f"{one.group}, {one.who}: {one.namings} in {one.strides} strides, of which {100 * one.ordered:.0f} % are in "
         f"order; {one.words[0]}"
         for one in results
-        if one.namings and one.case in ("sound", INTENDED)
+        if one.namings and one.case in SOUND
     ]
 
 
@@ -396,12 +419,13 @@ def main() -> int:
     options = parser.parse_args()
     console = console_of(150)
     results = [*real(feet_of(options.data, options.only)), *virtual(options.patients)]
-    kept = Kept("python benchmarks/disorder.py", tables_of(results), notes=named_by_mistake(results))
+    tables = tables_of(results)
+    if "stroke_treadmill" in options.only:
+        tables.append(fallback(feet_of(options.data, ["stroke_treadmill"])))
+    kept = Kept("python benchmarks/disorder.py", tables, notes=named_by_mistake(results))
     print(kept.markdown())
     if options.json is not None:
         kept.keep(options.json)
-    if "stroke_treadmill" in options.only:
-        console.print(fallback(feet_of(options.data, ["stroke_treadmill"])))
     told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
     return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt), several=True)

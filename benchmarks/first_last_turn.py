@@ -268,7 +268,7 @@ def held_by(x: Any, p: Any) -> list[str]:
         found.append("shortest_swing_share")
     fell = x.toe_down_peak_radps + x.toe_up_peak_radps
     seen = fell >= p["mid_swing_share"] * p["fall_radps"] or x.toe_up_peak_radps >= p["toe_up_share"] * rate
-    if not (seen or x.swung_rad > p["swung_rad"]):
+    if not (seen or x.swung_rad > p["swing_turn_rad"]):
         found.append("mid_swing_share")
     rising = -x.toe_down_radps / max(x.toe_up_peak_radps, 1e-9)
     slowed = x.speed_share < p["slowed_share"] and rising < p["slowed_share"]

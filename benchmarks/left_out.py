@@ -66,7 +66,7 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "push_off_share": (0.3, 0.4, 0.5),
     "shortest_swing_share": (0.5, 0.6, 0.7),
     "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
-    "swung_rad": (0.1, 0.15, 0.2),
+    "swing_turn_rad": (0.1, 0.15, 0.2),
     "slowed_share": (0.65, 0.7, 0.75, 0.8),
     "jerk_share": (0.15, 0.2, 0.3, 0.4),
     "rest_share": (0.12, 0.15, 0.18, 0.22),

@@ -20,10 +20,11 @@ and begins there anew after its sensor was silent for more than 0.25 s.
 
 **A guard** decides at each sample whether its transition goes. It is a function of what is seen of the foot now
 (`Features`), and of this person's measures and limits that are shares of them (`Thresholds`). It is written once and
-used three times. The estimation core compiles it and asks it at every sample. When it holds, the machine of the library
-`transitions`, which has the phase, asks the plain function again, and stops everything if the two do not agree. And
-`fes explain` and the report call it with numbers that note what is done with them, which gives every comparison with
-both its sides.
+used three times. The estimation core compiles it and asks it at every sample. When it holds in a session, live or
+replayed, the machine of the library `transitions`, which has the phase, asks the plain function again, and stops
+everything if that one refuses. (`fes.analyse` takes the compiled core's word, and only sees that each transition leaves
+the phase in which the foot was.) And `fes explain` and the report call it with numbers that note what is done with
+them, which gives every comparison with both its sides.
 
 **Where the paper is departed from, and why.** Its limits are constants of one sensor at 500 Hz, and it waits for
 movement and rest of both accelerometer and gyroscope.

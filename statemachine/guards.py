@@ -77,11 +77,12 @@ class Thresholds(NamedTuple):
     contact_jerk_mps3: float = 2000.0
     """measure: The typical jump of the force at contact. Origin: calibration and the strides."""
     rest_share: float = 0.15
-    """T2, T3, T4, T5, T6: A foot rests while it turns more slowly than this share of its rate; above it, it turns.
+    """T2, T3, T4, T5, T6: A foot rests while it turns about its mediolateral axis more slowly than this share of its
+    rate, and `resting_s` counts; above it, it turns.
     Origin: data."""
     still_radps: float = 0.25
-    """T1, T4: The foot stands still while it turns more slowly than this, 14°/s. Origin: as in the orientation
-    filter (`STANDING_RADPS`)."""
+    """T1, T4: The foot stands still while it turns more slowly than this, 14°/s: `settled_s` counts, `turned_rad`
+    begins anew. Origin: as in the orientation filter (`STANDING_RADPS`)."""
     turn_rad: float = 0.04
     """T1, T3: A foot has turned when it has by this angle, 2.3°: toe-down since it last stood still, and its heel is
     about 5 mm up; toe-down from its highest pitch in swing, and it is coming down. Origin: data."""
@@ -104,7 +105,7 @@ class Thresholds(NamedTuple):
     push_off_drop: float = 0.07
     """T2: The peak is over once the rate has fallen by this share of it; a ripple falls by less. Origin: the paper,
     which asks for any fall; the share by hand."""
-    swung_rad: float = 0.15
+    swing_turn_rad: float = 0.15
     """T2, T3: A foot that leaves the ground has turned toe-down by this angle, 9°, and one that has swung has turned
     toe-up by it. Origin: data."""
     swing_at_reversal: bool = False
@@ -172,7 +173,7 @@ def t2(x: Features, p: Thresholds) -> bool:
     pushed_off = (
         (x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps)
         & (x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps)
-        & (x.turned_rad > p.swung_rad)
+        & (x.turned_rad > p.swing_turn_rad)
         & ((x.toe_down_radps < 0.0) | (p.swing_at_reversal == NO))
     )
     dragged_off = -x.toe_down_radps > p.toe_up_share * rate
@@ -191,7 +192,7 @@ def t3(x: Features, p: Thresholds) -> bool:
     mid_swing_seen = (
         (x.toe_down_peak_radps + x.toe_up_peak_radps >= p.mid_swing_share * p.fall_radps)
         | (x.toe_up_peak_radps >= p.toe_up_share * rate)
-        | (x.swung_rad > p.swung_rad)
+        | (x.swung_rad > p.swing_turn_rad)
     )
     slowed = (x.speed_share < p.slowed_share) & (-x.toe_down_radps < p.slowed_share * x.toe_up_peak_radps)
     comes_down = x.fallen_rad > p.turn_rad
@@ -202,7 +203,7 @@ def t3(x: Features, p: Thresholds) -> bool:
 
 
 def t4(x: Features, p: Thresholds) -> bool:
-    """Loading response → stance: the foot is flat, or its turn has died away, or it stands still.
+    """Loading response → stance: the foot is flat, or its turn has died away, or it stands still, or it is overdue.
 
     The paper waits for rest of both sensors, which a brisk walker's foot never comes to. A foot that lands on its heel
     comes down to flat, one that lands on its toes from below; both end in a plateau of the pitch. How well the pitch is

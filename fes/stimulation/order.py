@@ -7,7 +7,8 @@ A sensor put on turned, an axis with the wrong sign, a foot that scrapes along t
 - the stride around it has no length that can be true (it leads backward, or its ends cannot both be at rest), or it
   carried the foot less far than any walker's usual stride;
 - from foot off to foot off it took a quarter more or less time than the last ones usually did: what walks is even.
-  (Foot off, because a heel may rise early, be put down and rise again within one stance.)
+  (Foot off, because a heel may rise early, be put down and rise again within one stance.) If it took as long as the one
+  before, to a tenth, that is another speed. After a stop the rhythm is learnt anew.
 
 | state | what comes | next state |
 |---|---|---|
@@ -30,6 +31,7 @@ POOR: Final = 4  # of them: a stumble, a turn on the spot and a first step are t
 AGAIN: Final = 3
 TRAVELS_M: Final = 0.1  # the shortest steady walkers (S07, S19 of the stroke walks) make 0.12 m and more in nine of ten
 UNEVEN: Final = 0.25  # of the usual cycle: on a belt 99 of 100 cycles of the sound are within 0.1, a shuffle's half
+EVEN: Final = 0.1  # of the cycle before
 REMEMBERED, USUAL_FROM = 12, 3  # cycles
 STOPPED: Final = 2.5  # usual cycles: a longer one holds a stop
 CYCLE: Final = [Transition.T1, Transition.T2, Transition.T3, Transition.T4]
@@ -88,9 +90,11 @@ class OrderJudge:
         elif self._fired != CYCLE:
             fault = NO_CYCLE
         elif usual_ns and cycle_ns > STOPPED * usual_ns:
+            self._cycles_ns.clear()
             return
         elif usual_ns and abs(cycle_ns - usual_ns) > UNEVEN * usual_ns:
-            fault = NO_RHYTHM
+            before_ns = self._cycles_ns[-1]
+            fault = NO_RHYTHM if abs(cycle_ns - before_ns) > EVEN * before_ns else ""
         if cycle_ns:
             self._cycles_ns.append(cycle_ns)
         self._faults.append(fault)

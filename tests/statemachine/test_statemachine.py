@@ -52,7 +52,7 @@ HEEL_RISE = NOTHING._replace(
     turned_rad=2.0 * P.turn_rad,
     since_contact_s=2.0 * LIFTS_AFTER_S,
 )
-TOE_OFF = NOTHING._replace(toe_down_peak_radps=RATE, toe_down_radps=0.5 * RATE, turned_rad=2.0 * P.swung_rad)
+TOE_OFF = NOTHING._replace(toe_down_peak_radps=RATE, toe_down_radps=0.5 * RATE, turned_rad=2.0 * P.swing_turn_rad)
 CONTACT = NOTHING._replace(
     toe_down_peak_radps=RATE,
     toe_up_peak_radps=UP_RADPS,
@@ -132,7 +132,7 @@ CASES: list[Case] = [
     *beyond(T1, "later than a rebound", "since_contact_s", P.swung_after_s, toe_down_radps=-above(SWUNG)),
     *edge(T2, "a push-off", "toe_down_peak_radps", LEAST_PEAK, below(LEAST_PEAK), toe_down_radps=0.0),
     *edge(T2, "more than a ripple", "toe_down_radps", below(LEFT), LEFT),
-    *beyond(T2, "turned as a foot that leaves", "turned_rad", P.swung_rad),
+    *beyond(T2, "turned as a foot that leaves", "turned_rad", P.swing_turn_rad),
     *edge(T2, "reversed, as asked", "toe_down_radps", below(0.0), 0.0, swing_at_reversal=True),
     *beyond(T2, "dragged off", "toe_down_radps", -TOE_UP, **DRAGGED),
     *beyond(T2, "dragged off, asked to be reversed", "toe_down_radps", -TOE_UP, **DRAGGED, swing_at_reversal=True),
@@ -155,7 +155,7 @@ CASES: list[Case] = [
     *edge(T3, "slowed", "speed_share", below(P.slowed_share), P.slowed_share, **SCUFFS),
     *edge(T3, "slowed and past mid-swing", "toe_down_radps", above(-P.slowed_share * UP_RADPS),
           -P.slowed_share * UP_RADPS, **SLOWED),
-    *beyond(T3, "swung without a rate", "swung_rad", P.swung_rad, **SHUFFLED, toe_up_peak_radps=0.0),
+    *beyond(T3, "swung without a rate", "swung_rad", P.swing_turn_rad, **SHUFFLED, toe_up_peak_radps=0.0),
     *beyond(T3, "at rest with gravity alone", "resting_s", P.soft_contact_s, **{**CALM, "resting_s": 0.0}),
     *beyond(T3, "gravity alone", "calm_s", P.soft_contact_s, **{**CALM, "calm_s": 0.0}),
     (T3, "glides", {**CALM, "travelling": True}, False),
@@ -365,7 +365,7 @@ def _grid() -> list[tuple[Any, ...]]:
             (peak,),
             (up,),
             beside(LANDED),
-            (P.turn_rad, above(P.turn_rad), above(P.swung_rad)),
+            (P.turn_rad, above(P.turn_rad), above(P.swing_turn_rad)),
             (0.0, below(-OFF_RAD), above(-OFF_RAD)),
             (P.flat_rad,),
             beside(JERK_MPS3),

@@ -68,6 +68,22 @@ class Foot:
         return self.walking.on_phase(PhaseChange(round((self.now_s + after_s) * 1e9), FOOT, each, *STEP[each]))
 
 
+@pytest.mark.parametrize("after_s", [0.6, 0.8, 1.6, 2.4])
+def test_another_speed_is_no_disorder(after_s: float) -> None:
+    foot = Foot()
+    for cycle_s in [1.2] * 12 + [after_s] * 12:
+        foot.go(cycle_s=cycle_s)
+        assert foot.order.in_order
+
+
+def test_what_was_usual_long_ago_does_not_excuse_a_foot_without_rhythm() -> None:
+    foot = Foot()
+    for cycle_s in [1.2] * 10 + [3.2, 4.7, 6.5] * 4:  # longer than a stop would be told from
+        foot.go(cycle_s=cycle_s)
+    assert not foot.order.in_order
+    assert "came out of rhythm" in foot.order.reason
+
+
 @pytest.mark.requirement("SR-25")
 @pytest.mark.parametrize(
     ("poor", "words"),

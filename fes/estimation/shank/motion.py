@@ -243,7 +243,7 @@ NEVER = Thresholds(
     push_off_radps=math.inf,
     fall_radps=math.inf,
     contact_jerk_mps3=math.inf,
-    swung_rad=math.inf,
+    swing_turn_rad=math.inf,
     put_back_share=math.inf,
 )
 

@@ -20,7 +20,7 @@ LEAST, MOST = 0.6, 1.6  # of the calibrated measure
 USUAL = 0.5, 2.0  # of the stride time now: what may be one stride
 STANCE_S = 0.1  # the dead-reckoned speed of a foot on the ground dies away
 STILL_MPS, STILL_SHARE = 0.25, 0.35  # slower than this, or than this share of the swing's greatest, is no travel
-LONG_REST_S, LONG_REST_SHARE = 0.4, 0.25  # what rests for so long, and for so much of a stride, does not travel
+LONG_REST_S = 0.4  # what rests for so long does not travel
 CALM_MPS2 = 1.5  # the sensor's acceleration while nothing but gravity is upon it
 TURNED_S = 0.2  # standing still so long begins the count of how far the foot has turned anew …
 FLAT_S = 0.5  # … and so long makes its pitch the flat one
@@ -108,8 +108,7 @@ def features(state: Record) -> Features:
         state.speed / max(state.peak_speed, STILL_MPS),
         state.pitch_rad - state.lowest_rad,
         state.highest_rad - state.pitch_rad,
-        resting_s < max(LONG_REST_S, LONG_REST_SHARE * state.calibrated.stride_s)
-        and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
+        resting_s < LONG_REST_S and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
     )
 
 
