@@ -212,8 +212,8 @@ class ControllerProcess:
         raise ProcessLookupError(f"the session has no process {module}")
 
     def log(self) -> Path | None:
-        """The newest session log in the folder."""
-        return max(self.folder.glob("**/session.feslog"), key=lambda path: path.stat().st_mtime_ns, default=None)
+        """The newest session log in the folder, or what was saved of one that was removed."""
+        return max(self.folder.glob("**/session*.feslog"), key=lambda path: path.stat().st_mtime_ns, default=None)
 
     def printed(self) -> str:
         """The end of what it printed."""

@@ -228,6 +228,16 @@ def _full_disk(bench: CampaignBench, n: int) -> int:
     return t_ns
 
 
+def _log_removed(bench: CampaignBench, n: int) -> int:
+    """Somebody clears the folder: the file's name is gone, and what is written goes nowhere that can be found."""
+    log = bench.session().log()
+    if log is None:
+        raise CampaignBroken("the session has no log")
+    t_ns = time.monotonic_ns()
+    log.unlink()
+    return t_ns
+
+
 def _to_child(module: str, do: Callable[[CampaignBench, int], int]) -> Inject:
     """Something happens to one of the session's processes; ``do`` returns when."""
     return lambda bench, n: do(bench, bench.session().child(module))
@@ -349,5 +359,6 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "phase_stuck": (_at_once(_nothing), _nothing),
     "dose": (_at_once(_nothing), _nothing),
     "disk_full": (_full_disk, _nothing),
+    "log_removed": (_log_removed, _nothing),
     "log_writer_killed": (_to_child("fes.live.log_process", _killed), _nothing),
 }

@@ -213,6 +213,7 @@ _ROWS: Final[tuple[Scenario, ...]] = (
              variant="dose", response="no more than the limit a minute, off, latched"),
     _ends("disk_full", "disk full"),
     _ends("log_writer_killed", "log writer kill -9"),
+    _ends("log_removed", "log file removed"),
 )
 # fmt: on
 _LIES: Final = (

@@ -1,12 +1,15 @@
-"""The process that writes the session log: ``python -m fes.live.log_process SOCKET_FD FILE_FD``.
+"""The process that writes the session log: ``python -m fes.live.log_process SOCKET_FD FILE_FD PATH``.
 
 A disk that is slow, full or gone holds up this process and nobody else. It writes what it is sent as it comes, answers
 ``ok BYTES`` for what the operating system has, ``error NUMBER`` when that refuses, and ends when the other end does:
 what a killed controller had sent is then in the file.
 
-Every second a thread asks the disk itself for all of it. That may take long (a card, a stick, a busy disk) and holds up
-no answer, for nothing depends on it but what a loss of power leaves: ``slow SECONDS`` is said once when it takes very
-long. A disk that refuses it is one that refuses to be written.
+A thread asks the disk itself for all of it, again and again. That may take long (a card, a stick, a busy disk) and
+holds up no answer, for nothing depends on it but what a loss of power leaves: ``slow SECONDS`` is said when it takes
+long, ``slow 0`` when it no longer does. A disk that refuses it is one that refuses to be written.
+
+After every write it looks whether the file is still the one at its path, and as long as what was written. Where it is
+not, it says ``gone WHY``, copies what the open file still holds to a new one, says ``saved PATH`` and goes on there.
 """
 
 import contextlib
@@ -15,13 +18,17 @@ import os
 import signal
 import socket
 import sys
+import tempfile
 import threading
 import time
+from itertools import count
+from pathlib import Path
 from typing import Final
 
 CHUNK: Final = 1 << 18
-SYNC_EVERY_S: Final = 1.0
-SLOW_S: Final = 3.0
+# a disk that hangs has been said to after both of them: within a second
+SYNC_EVERY_S: Final = 0.3
+SLOW_S: Final = 0.5
 
 
 class Syncing:
@@ -32,27 +39,32 @@ class Syncing:
         self._thread: threading.Thread | None = None
         self._begun_s = time.monotonic()
         self._reported = False
+        self._lasted_s = 0.0
         self._failed: OSError | None = None
 
-    def poll(self) -> float:
-        """Begin what is due; how long one has been waited for (s) when that is to be reported, once; otherwise 0.
+    def poll(self) -> float | None:
+        """Begin what is due; how long the disk has been waited for (s) once that is long, 0 once it no longer is.
+
+        None where there is nothing new to say of it.
 
         Raises:
-            OSError: the disk has refused one.
+            OSError: the disk has refused.
         """
         now_s = time.monotonic()
         if self._failed is not None:
             raise self._failed
-        if self._thread is not None and self._thread.is_alive():
-            lasts_s = now_s - self._begun_s
-            if lasts_s > SLOW_S and not self._reported:
-                self._reported = True
-                return lasts_s
-        elif now_s - self._begun_s > SYNC_EVERY_S:
-            self._begun_s, self._reported = now_s, False
+        waits = self._thread is not None and self._thread.is_alive()
+        if waits:
+            self._lasted_s = now_s - self._begun_s
+        slow, before = self._lasted_s > SLOW_S, self._reported
+        if waits and not slow:
+            return None
+        if not waits and now_s - self._begun_s > SYNC_EVERY_S:
+            self._begun_s, self._lasted_s = now_s, 0.0
             self._thread = threading.Thread(target=self._wait, daemon=True)
             self._thread.start()
-        return 0.0
+        self._reported = slow
+        return None if slow == before else self._lasted_s if slow else 0.0
 
     def finish(self) -> None:
         """Wait until all is on the disk.
@@ -74,32 +86,69 @@ class Syncing:
                 self._failed = error
 
 
-def copy(link: socket.socket, file: int) -> int:
+def misplaced(file: int, path: Path, written: int) -> str:
+    """What has become of the log's file, which was given ``written`` bytes; "" while it is in its place."""
+    here = os.fstat(file)
+    if here.st_size != written:
+        return "has been cut short or written to by another program"
+    try:
+        there = path.stat()
+    except OSError:
+        return "has been removed or moved"
+    return "" if (there.st_dev, there.st_ino) == (here.st_dev, here.st_ino) else "has been replaced"
+
+
+def save(file: int, path: Path) -> tuple[int, Path]:
+    """Copy what an open file holds to a new one beside its path, or where none can be made among temporary files.
+
+    Raises:
+        OSError: it can be made in neither place, or not written.
+    """
+    failed = OSError(errno.EIO, os.strerror(errno.EIO))
+    for folder in (path.parent, Path(tempfile.gettempdir())):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            names = (folder / f"{path.stem}.saved{f'-{n}' if n else ''}{path.suffix}" for n in count())
+            free = next(name for name in names if not name.exists())
+            copied, done = os.open(free, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644), 0
+            while part := os.pread(file, CHUNK, done):
+                done += os.write(copied, part)
+            return copied, free
+        except OSError as error:
+            failed = error
+    raise failed
+
+
+def copy(link: socket.socket, file: int, path: Path) -> int:
     """Move bytes from the socket to the file until it ends; returns an exit status."""
-    written, syncing = 0, Syncing(file)
-    while True:
+    written, syncing = 0, Syncing(file)  # of this file
+    answered, more = 0, True
+    while more:
         try:
             chunk = memoryview(link.recv(CHUNK))
         except ConnectionResetError:  # it was killed with our answers unread; all that it sent has been read by now
-            break
-        if not chunk:
-            break
+            chunk = memoryview(b"")
+        more = bool(chunk)
         done = 0
         try:
             while done < len(chunk):
                 done += os.write(file, chunk[done:])
-            slow_s = syncing.poll()
+            written += done
+            answered += done
+            if why := misplaced(file, path, written):
+                _answer(link, f"gone {why}\n")
+                file, path = save(file, path)
+                written, syncing = os.fstat(file).st_size, Syncing(file)
+                _answer(link, f"saved {path}\n")
+            slow_s = syncing.poll() if more else None
+            if not more:
+                syncing.finish()
         except OSError as error:
-            _answer(link, f"error {error.errno or 5}\n")
+            _answer(link, f"error {error.errno or errno.EIO}\n")
             return 1
-        written += done
-        _answer(link, f"ok {written}\n")
-        if slow_s:
-            _answer(link, f"slow {slow_s:.0f}\n")
-    try:
-        syncing.finish()
-    except OSError:
-        return 1
+        _answer(link, f"ok {answered}\n")
+        if slow_s is not None:
+            _answer(link, f"slow {slow_s:.1f}\n")
     return 0
 
 
@@ -113,7 +162,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link_fd, file = int(sys.argv[1]), int(sys.argv[2])
     with socket.socket(fileno=link_fd) as link:
-        return copy(link, file)
+        return copy(link, file, Path(sys.argv[3]))
 
 
 if __name__ == "__main__":

@@ -253,10 +253,17 @@ class Monitor(ShownLog):
     # --- the status --------------------------------------------------------------------------------------
 
     def publish(
-        self, t_ns: int, operator: Operator, controller: Controller, gate: SafetyGate, stimulator: str = ""
+        self,
+        t_ns: int,
+        operator: Operator,
+        controller: Controller,
+        gate: SafetyGate,
+        stimulator: str = "",
+        *,
+        at_once: bool = False,
     ) -> None:
-        """Send the status if 100 ms have passed; a listener that does not keep up misses frames."""
-        if t_ns < self._next_ns:
+        """Send the status if 100 ms have passed, or at once; a listener that does not keep up misses frames."""
+        if t_ns < self._next_ns and not at_once:
             return
         self._next_ns = t_ns + FRAME_NS
         feet = {

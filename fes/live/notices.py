@@ -28,6 +28,7 @@ class Notices:
         self.electrodes = electrodes
         self.streams: Sequence[SensorStream] = ()
         self.lasting: list[str] = []
+        self.log = ""  # what its disk is behind with
         self._gate = gate
         self._of_feet = of_feet
         self._losses: dict[SensorStream, int] = {}
@@ -40,7 +41,7 @@ class Notices:
             if t_ns - flag.t_ns < SHOWN_NS
         ]
         lost = (stream.why_lost for stream in self.streams)
-        return list(filter(None, (*self._of_feet(), *flags, *lost, self.electrodes.unknown(), *self.lasting)))
+        return list(filter(None, (*self._of_feet(), *flags, *lost, self.electrodes.unknown(), self.log, *self.lasting)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

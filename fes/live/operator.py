@@ -250,6 +250,12 @@ class Operator:
         self._report(t_ns, "warning", f"the keyboard is gone; stop by {which}")
         return []
 
+    def give_up(self, t_ns: int, why: str) -> None:
+        """The session ends by itself, with a fault that can be logged no more."""
+        self.gate.latch(t_ns, why)
+        self.machine.move(Cause.FAULT)
+        self.message = why
+
     # --- commands ----------------------------------------------------------------------------------------
 
     def _stop(self, command: OperatorCommand, t_ns: int) -> list[Event]:

@@ -2,6 +2,7 @@
 
 import gc
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from fes.live.sides import SideCheck
 from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.live.supervised_line import POLL_NS
-from fes.session_log import Note, Received
+from fes.session_log import Note, Received, SessionLogError
 from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
 
 
@@ -170,6 +171,14 @@ class LiveSession:
         )  # fmt: skip
         try:
             self.runner.run(self._source, lambda event: self._after(event, check))
+        except SessionLogError as error:
+            # everything is off by now; whoever watches is told before the log is closed, which may take long
+            self.operator.give_up(self._clock_ns(), str(error))
+            with suppress(SessionLogError):
+                self.monitor.publish(
+                    self._clock_ns(), self.operator, self.controller, self.gate, self.stimulator.state, at_once=True
+                )
+            raise
         finally:
             if self._control is not None:
                 self._control.close()
@@ -202,9 +211,11 @@ class LiveSession:
             self.monitor.note(Note(event.t_ns, "warning", "session", event.text))
         now_ns = self._clock_ns()
         self._log.flush_due(now_ns)
-        if self._log.warning:
-            self.monitor.note(Note(event.t_ns, "warning", "log", self._log.warning))
-            self.operator.message, self._log.warning = self._log.warning, ""
+        if self._log.warning != self.notices.log:
+            self.notices.log = self._log.warning
+            text = self._log.warning or f"{self._log.path}: the disk keeps up again"
+            self.monitor.note(Note(event.t_ns, "warning" if self._log.warning else "info", "log", text))
+            self.operator.message = text
         self.monitor.publish(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
         if self.operator.state is not self._state:
             self._state = self.operator.state

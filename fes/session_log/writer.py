@@ -173,13 +173,13 @@ class RecordBuffer(ABC):
 
 
 def create(path: Path) -> int:
-    """Make a new session log's file; its descriptor, for writing.
+    """Make a new session log's file; its descriptor, for adding to it, and for reading it should its name be gone.
 
     Raises:
         SessionLogError: the file is there already or cannot be made.
     """
     try:
-        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
+        return os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
     except OSError as error:
         raise not_made(path, error, "choose another name or move it") from error
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +27,7 @@ from fes.live.session import LiveSession, live_header
 from fes.live.status import Status
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.live.terminal_view import picture
-from fes.session_log import SessionLogError
+from fes.session_log import SessionLogError, read_session
 from fes.session_log.writer import SessionWriter
 from fes.signals import (
     Event,
@@ -288,3 +289,36 @@ def test_thresholds_of_the_session_are_on_the_terminal_with_where_they_come_from
     console.print(picture(Status(0, "off", notices=[line])))
     assert isinstance(console.file, StringIO)
     assert f"! {line}" in console.file.getvalue()
+
+
+def test_what_the_logs_disk_is_behind_with_is_shown_while_it_lasts_and_its_end_at_once(tmp_path: Path) -> None:
+    log = PipedLog(tmp_path / "session.feslog", {})
+    stimulator = LiveStimulator(FakeStimulator(), lambda: (_ for _ in ()).throw(Lost("no")), Lost, lambda: 0)
+    shown: list[Status] = []
+    live = LiveSession(settings(), {FOOT: CALIBRATION}, log, stimulator, time.monotonic_ns)
+    live.monitor._publish = lambda datagram: shown.append(Status.decode(datagram))
+    turns: list[str] = []
+
+    def check() -> None:
+        turns.append(" ".join(live.notices.now(0)))
+        if len(turns) == 1:
+            log.warning = "the disk does not keep up"
+        elif len(turns) == 3:
+            log.warning = ""
+        elif len(turns) == 5:
+            log.path.unlink()
+
+    begin_s = time.monotonic()
+    with pytest.raises(SessionLogError, match="has been removed"):
+        live.run([], [], [Tick(time.monotonic_ns())], [], check)
+    assert time.monotonic() - begin_s < 2.0
+    assert ["keep up" in turn for turn in turns[:5]] == [False, True, True, False, False]
+    assert shown[-1].state == "fault"
+    assert "has been removed" in shown[-1].fault
+    assert "begin anew" in shown[-1].remedy
+    with pytest.raises(SessionLogError):
+        log.close({})
+    assert [note.text.split(": ")[-1] for note in read_session(log.path).notes if note.source == "log"] == [
+        "the disk does not keep up",
+        "the disk keeps up again",
+    ]

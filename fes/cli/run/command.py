@@ -42,6 +42,7 @@ from fes.live.source import LiveSource
 from fes.live.stimulator import LiveStimulator, Opened
 from fes.live.supervised_line import SupervisorProcess
 from fes.session_log import SessionLogError
+from fes.session_log.framing import LogScan, RecordType
 from fes.signals import Event
 
 Streams = Sequence[SensorStream]
@@ -207,7 +208,8 @@ def finish(log_path: Path, ended: str, *, report: bool) -> None:
     finally:
         if report:
             write_report(log_path)
-    click.echo(f"Session log  {log_path}")
+    where = f"Session log  {log_path}"
+    click.echo(where if log_path.exists() else f"{where}: it is not there")
 
 
 def write_report(log_path: Path) -> None:
@@ -220,9 +222,17 @@ def write_report(log_path: Path) -> None:
         done = subprocess.run((sys.executable, "-c", FES, "report", "--summary", log_path), check=False)
         if done.returncode == OK:
             return
-    click.secho(
-        f"There is no report; the session log is whole: `fes report {log_path}` writes it.", fg="yellow", err=True
-    )
+    whole = "the session log is whole" if is_whole(log_path) else "the session log is not whole, or not there"
+    click.secho(f"There is no report; {whole}: `fes report {log_path}` writes it.", fg="yellow", err=True)
+
+
+def is_whole(log_path: Path) -> bool:
+    """Whether a session log can be read to its summary, which is its last record."""
+    scan, last = LogScan(log_path), 0
+    with suppress(SessionLogError):
+        for kind, _ in scan:
+            last = kind
+    return last == RecordType.SUMMARY and not scan.lost
 
 
 def said_how_it_ended(log_path: Path, ended: str) -> None:
@@ -319,6 +329,7 @@ def run_live(
         ended = "interrupted"
     except SessionLogError as error:
         ended = str(error)
+        click.secho(f"\aALARM: stimulation is off, the session ends. {ended}", fg="red", bold=True, err=True)
     except Exception as error:
         ended = f"stopped: {type(error).__name__}: {error}"
         raise
@@ -326,10 +337,10 @@ def run_live(
         try:
             log.close({"ended": ended, **live.summary()})
         except SessionLogError as error:
-            ended = str(error) if ended == COMPLETE else ended
+            ended = str(error)
     if dashboard is not None and ended != COMPLETE:
         dashboard.farewell = f"The session has ended: {ended}. Stimulation is off."
-    return log_path, ended
+    return log.path, ended
 
 
 def _give_inputs(
