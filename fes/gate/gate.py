@@ -64,6 +64,8 @@ class SafetyGate:
 
     Attributes:
         flagged: by sensor, what was wrong with samples that no channel's timing rests on.
+        doubted: sensors that a channel follows, and of which a fault was seen; whoever has proof that it is gone takes
+            them out.
         arming_refused: why the last attempt at arming failed; "" when it did not.
         latched_ns: when :attr:`latched` came about.
     """
@@ -102,6 +104,7 @@ class SafetyGate:
             for number, state in self._channels.items()
         }
         self.flagged: dict[str, Flagged] = {}
+        self.doubted: set[str] = set()
         self.arming_refused = ""
         self.latched_ns: int | None = None
         self._event_ns: int | None = None
@@ -148,6 +151,7 @@ class SafetyGate:
             self._on_alive(event)
         elif isinstance(event, SystemFault):
             self.latch(event.t_ns, event.text)
+            self.doubted.update(sensor for sensor in self._relied_on if sensor in event.text)
         # last, so that an act of arming that itself came from the past does not stand
         self._notice_backward(event.t_ns, earlier_ns)
 
@@ -155,6 +159,7 @@ class SafetyGate:
         """What drives a channel stops everything; what is only recorded must not stop the therapy of a sound foot."""
         if sample.sensor in self._relied_on:
             self.latch(sample.t_ns, fault)
+            self.doubted.add(sample.sensor)
             return
         before = self.flagged[sample.sensor].samples if sample.sensor in self.flagged else 0
         self.flagged[sample.sensor] = Flagged(before + 1, fault, sample.t_ns)
@@ -252,6 +257,7 @@ class SafetyGate:
     def _fault(self, t_ns: int, state: ChannelState, request: StimRequest) -> str:
         """What latches. The order matters: the later checks rely on the numbers being numbers."""
         if not_ready := self._reason_not_ready(state.sensor, t_ns):
+            self.doubted.add(state.sensor)
             return not_ready
         fault = (
             _no_switch(request.on)

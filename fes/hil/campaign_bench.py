@@ -13,10 +13,12 @@ from fes.hil.devices import Devices, Hardware
 from fes.hil.results import MS, Output, Outputs, output_at, overlap_ms
 from fes.hil.scenarios import Needs, Scenario
 from fes.hil.settings import reversed_axis
+from fes.live.proof import ASKED
 from fes.live.status import Status
 from fes.signals import NS_PER_S
 
 LOOK_S: Final = 0.004
+TAP_EVERY_S: Final = 1.5
 COMMAND_EVERY_S: Final = 0.16  # intensity is raised at most every 150 ms
 START_S: Final = 60.0
 ALLOWED: Final = ("armed", "running")
@@ -58,6 +60,7 @@ class CampaignBench:
     _outputs: Outputs = field(default_factory=Outputs)
     _trigger_s: float = 0.0
     _command_s: float = 0.0
+    _tap_s: float = 0.0
 
     @property
     def devices(self) -> Devices:
@@ -162,9 +165,16 @@ class CampaignBench:
             raise CampaignBroken(f"the session has ended; it said: {self.session().printed()}")
 
     def command(self, ask: str) -> None:
-        """As the operator."""
-        if self.controller is not None:
-            self.controller.operator.send_command(ask)
+        """As the operator: after a sensor's fault, arming goes with a tap on it, after a second's rest."""
+        if self.controller is None:
+            return
+        status = self.status()
+        if ask == "arm" and status is not None and any(ASKED in notice for notice in status.notices):
+            if time.monotonic() < self._tap_s:
+                return
+            self._tap_s = time.monotonic() + TAP_EVERY_S
+            self.devices.imu.inject("tap")
+        self.controller.operator.send_command(ask)
 
     # --- waiting -----------------------------------------------------------------------------------------
 

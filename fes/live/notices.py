@@ -29,6 +29,7 @@ class Notices:
         self.streams: Sequence[SensorStream] = ()
         self.lasting: list[str] = []
         self.log = ""  # what its disk is behind with
+        self.proof: Callable[[], str] = str  # what a person has to show before arming
         self._gate = gate
         self._of_feet = of_feet
         self._losses: dict[SensorStream, int] = {}
@@ -41,7 +42,8 @@ class Notices:
             if t_ns - flag.t_ns < SHOWN_NS
         ]
         lost = (stream.why_lost for stream in self.streams)
-        return list(filter(None, (*self._of_feet(), *flags, *lost, self.electrodes.unknown(), self.log, *self.lasting)))
+        of_session = self.electrodes.unknown(), self.log, self.proof(), *self.lasting
+        return list(filter(None, (*self._of_feet(), *flags, *lost, *of_session)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

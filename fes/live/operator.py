@@ -12,10 +12,11 @@ from fes.config import STEEPEST_PERCENT, Session
 from fes.control.controller import Controller
 from fes.gate import STOPPED, SafetyGate
 from fes.live.commands import CONTROL, CURRENT_ALLOWED, Cause, CommandKind, OperatorCommand, SessionMachine, State
+from fes.live.proof import Proof
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.status import ground_text
 from fes.session_log import Note
-from fes.signals import FOOT_SENSORS, NS_PER_S, Event, OperatorAct, OperatorAction, Tick
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, Tick
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.report import difference
 
@@ -144,6 +145,7 @@ class Operator:
         self._unchecked = unchecked_side(self.phase_sensor_of) if self.session.exercise is None else ""
         self._side_by = "--side" if self.side and self.side == self._unchecked else ""
         self._side_asked_ns: int | None = None
+        self.proof = Proof(self.gate.doubted, self.note)
         self.machine = SessionMachine()
         self.message = "warming up"
         self.belt_speed_mps = self.session.treadmill.belt_speed_mps if self.session.treadmill else None
@@ -213,6 +215,8 @@ class Operator:
             self._passing = None
         if isinstance(event, OperatorAct) and event.action is OperatorAction.ARM:
             self._armed(t_ns)
+        elif isinstance(event, ImuSample) and (said := self.proof.observe(event)):
+            self.message = said
         if self.gate.latched:
             stopped = self.gate.latched == STOPPED
             self._move(t_ns, Cause.STOP if stopped else Cause.FAULT, self.gate.latched)
@@ -229,7 +233,8 @@ class Operator:
         for sensor, monitor in self.monitors.items():
             fault = monitor.not_alive(t_ns)
             if not fault and at_rest and sensor in self.phase_sensor_of.values():
-                fault = monitor.not_at_rest(t_ns) or monitor.not_upright(t_ns)
+                moves = "" if self.proof.wanted() else monitor.not_at_rest(t_ns)  # a tap is a movement
+                fault = moves or monitor.not_upright(t_ns)
             reasons.append(fault)
         reasons += [
             f"{channel.name}: the {channel.foot} is not calibrated"
@@ -270,9 +275,13 @@ class Operator:
             return self._refuse(t_ns, f"cannot arm: the session is {self.state}")
         if t_ns - self._stopped_ns < STOP_STANDS_NS:
             return self._refuse(t_ns, "cannot arm: stopped just now")
-        resumes = self.state is State.PAUSED
+        resumes, proof = self.state is State.PAUSED, self.proof.wanted()
         if reasons := self.reasons_not_ready(t_ns, at_rest=not resumes):
             return self._refuse(t_ns, "cannot arm: " + "; ".join(reasons))
+        if proof:
+            self.proof.press(t_ns)
+            self.message = proof
+            return []
         if self._unchecked and not self._is_side_confirmed(command, t_ns):
             return []
         arm = OperatorAct(t_ns, OperatorAction.ARM)

@@ -104,6 +104,7 @@ class LiveSession:
             session, self.controller, self.gate, monitors, phase_sensor_of, self.monitor.note,
             lambda: self.monitor.answered_ns, self._reasons_not_ready, electrodes.unknown, side,
         )  # fmt: skip
+        self.notices.proof = self.operator.proof.wanted
         self.stimulator = stimulator
         self.runner = Runner(self.controller, self.gate, stimulator, self.monitor, clock_ns, from_reading=True)
         self._log = log

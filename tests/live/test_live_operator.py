@@ -300,6 +300,7 @@ def test_a_stop_during_a_fault_is_what_the_session_is_off_for() -> None:
     assert bench.operator.state is State.STOPPED
     assert bench.operator.why_off == "emergency stop"
     assert bench.operator.message == "emergency stop (key)"
+    bench.gate.doubted.clear()  # as after a tap with the key
     bench.command(Kind.ARM)
     assert bench.operator.why_off == ""
 

@@ -27,10 +27,12 @@ from drivers.simulated.spawn import DeviceHandle, DeviceKind, ImuHandle, NodeHan
 from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
 from fes.config import Bus
+from fes.live.proof import ASKED
 from fes.live.status import Status
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord
 
+TAP_EVERY_S = 1.5  # a second of rest before the next one
 STAND_S = 8  # so that a session that has just begun can be armed before the first step
 FOOT = "right_foot"
 RATE_HZ = 500.0
@@ -215,6 +217,7 @@ class LiveRun:
         self._record: RecordReader | None = None
         self._recorded: Stimulator | None = None  # whose record that is: a test may put another one in its place
         self._entries: list[RecordEntry] = []
+        self.tap_s = 0.0  # the next tap's time
         self.off_ns = 0  # when the output went off, as :meth:`off_after_ms` found it
 
     def loaded(self) -> set[str]:
@@ -227,6 +230,15 @@ class LiveRun:
 
     def order(self, ask: str, **more: object) -> None:
         self.link.sendto(json.dumps({"ask": ask, **more}).encode(), str(self.folder / "c.sock"))
+
+    def operate(self, ask: str) -> None:
+        """Order it as a person would: after a sensor's fault, arming goes with a tap on it, after a second's rest."""
+        if ask == "arm" and self.status is not None and any(ASKED in notice for notice in self.status.notices):
+            if time.monotonic() < self.tap_s:
+                return
+            self.tap_s = time.monotonic() + TAP_EVERY_S
+            self.imu.inject("tap")
+        self.order(ask, confirm=True)
 
     def until(
         self, what: Callable[[Status], bool], repeat: str | Callable[[], str] = "", timeout_s: float = 120.0
@@ -241,7 +253,7 @@ class LiveRun:
                 try:
                     self.link.sendto(b"watch", str(self.folder / "c.sock"))
                     if ask := repeat if isinstance(repeat, str) else repeat():
-                        self.order(ask, confirm=True)
+                        self.operate(ask)
                 except OSError:
                     continue  # the socket is not there yet
             try:
@@ -329,7 +341,7 @@ class LiveRun:
                 with suppress(TimeoutError):  # it is held up
                     self.link.sendto(b"watch", str(self.folder / "c.sock"))
                     if self.status is not None and (ask := self.operated()):
-                        self.order(ask, confirm=True)
+                        self.operate(ask)
                         armings += ask == "arm"
             with suppress(TimeoutError):
                 self._take(self.link.recv(65536))

@@ -6,11 +6,11 @@ ends it), ``stuck`` (1: repeats itself), ``held`` / ``held_alive`` (a sum of 1, 
 8, 16, 32 for the gyroscope's: these keep what they showed last, to the bit or with noise; 0 ends it), ``clip`` (values
 held within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``inf``
 / ``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),
-``dangling`` (1: hangs from its cable and swings; 0 ends it), ``drift`` (ppm of its clock from now on), ``jump`` (its
-clock, by so many seconds, once), ``jumping`` (every eighth stamp is ahead by so many seconds; 0 ends it). ``stand``:
-its wearer stays within the first so many seconds of the signal, in which they stand, once they come there; 0: goes on
-at their end. A sensor that sends whole numbers, as most do on CAN, has no ``nan`` and no ``inf``: what it cannot
-measure it sends as the end of its range, or not at all.
+``dangling`` (1: hangs from its cable and swings; 0 ends it), ``tap`` (now: somebody knocks on it), ``drift``
+(ppm of its clock from now on), ``jump`` (its clock, by so many seconds, once), ``jumping`` (every eighth stamp is
+ahead by so many seconds; 0 ends it). ``stand``: its wearer stays within the first so many seconds of the signal, in
+which they stand, once they come there; 0: goes on at their end. A sensor that sends whole numbers, as most do on CAN,
+has no ``nan`` and no ``inf``: what it cannot measure it sends as the end of its range, or not at all.
 """
 
 from __future__ import annotations
@@ -46,10 +46,11 @@ LASTING: Final = (
     "dangling",
     "jumping",
 )  # until set to 0
-FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
+FAULTS: Final = frozenset((*LASTING, "tap", "reboot", "drift", "jump", "stand"))
 NOT_FINITE: Final = ("nan", "inf")
 ACC_NOISE, GYR_NOISE = 0.05, 0.02  # m/s², rad/s
 JUMPING_EVERY: Final = 8  # more than one in twenty
+TAP_S, TAP_RADPS = 0.06, 2.0
 BOOT_NS: Final = 300_000_000
 CABLE_M, CABLE_SWING_RAD, CABLE_SPIN_RADPS = 0.3, 0.4, 1.5  # a sensor that has come off and hangs below the knee
 _NAN: Final = (math.nan, math.nan, math.nan)
@@ -139,6 +140,7 @@ class SimulatedImu(Device):
         # the sampling beat is the device's crystal's: its drift changes the interval too
         self._t0_ns, self._device0_ns, self._drift = t_ns, device_ns, drift_ppm * 1e-6
         self._counter = self._beat = 0
+        self._tapped = -math.inf  # the beat of the last knock
         self._follows: int | None = None  # the number in the signal that would be no jump
 
     def next_deadline_ns(self) -> int:
@@ -180,6 +182,9 @@ class SimulatedImu(Device):
             )
         if name not in FAULTS or not math.isfinite(value):
             raise ValueError(f"fault {name!r} = {value!r} is not known; one of {', '.join(sorted(FAULTS))}")
+        if name == "tap":
+            self._tapped = self._beat
+            return []
         if name == "reboot":
             self._start(t_ns + BOOT_NS, 0, self._drift * 1e6)
             return self._wire.boot()
@@ -217,7 +222,11 @@ class SimulatedImu(Device):
 
     def _reading(self, own_ns: int) -> Reading:
         if not self._values["stuck"]:
-            self._last = self._signal.sample(self._played)
+            acc, gyr = self._signal.sample(self._played)
+            if (since_s := (self._beat - self._tapped) / self._signal.rate_hz) < TAP_S:
+                knock = TAP_RADPS * math.sin(math.pi * since_s / TAP_S)
+                gyr = gyr[0] + knock, gyr[1] + knock, gyr[2]
+            self._last = acc, gyr
         acc, gyr = self._with_held_axes(*self._last)
         acc = _held(acc, self._values["force_scaled"] or 1.0, math.inf)
         gyr = _held(gyr, self._values["rate_scaled"] or 1.0, math.inf)
