@@ -54,9 +54,16 @@ class SensorColumns(Settings):
     acc_range_mps2: Positive | None = None
     acc_range_g: Positive | None = None
     gyr_range_radps: Positive | None = None
-    gyr_range_degps: Positive | None = None
+    gyr_range_dps: Positive | None = None
     mounting: Mounting | None = None
     file: str | None = None  # of its own, beside the recording's
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_its_present_name(cls, given: object) -> object:
+        if isinstance(given, dict) and "gyr_range_degps" in given:
+            raise ValueError("gyr_range_degps is gyr_range_dps now, as in a session; write that name")
+        return given
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
@@ -66,7 +73,7 @@ class SensorColumns(Settings):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"column {twice[0]!r} is named twice; acc and gyr are six different columns")
-        for one, other in (("acc_range_mps2", "acc_range_g"), ("gyr_range_radps", "gyr_range_degps")):
+        for one, other in (("acc_range_mps2", "acc_range_g"), ("gyr_range_radps", "gyr_range_dps")):
             if getattr(self, one) and getattr(self, other):
                 raise ValueError(f"{one} and {other} are both given; keep one")
         return self
@@ -79,7 +86,7 @@ class SensorColumns(Settings):
     @property
     def gyr_range(self) -> float | None:
         """Full scale in rad/s, None if unknown."""
-        return self.gyr_range_degps * gyr_factor("deg/s") if self.gyr_range_degps else self.gyr_range_radps
+        return self.gyr_range_dps * gyr_factor("deg/s") if self.gyr_range_dps else self.gyr_range_radps
 
 
 class CanLog(Settings):

@@ -67,7 +67,7 @@ def sidecar_template(path: Path) -> str:
     if not all(group.whole for group in groups):
         lines.append("# ? put the columns' names, x, y, z, where a name starts with “?”")
     lines += _other_foot(path, layout, groups)
-    known = "at the top: belt_speed_mps, subject, description; for each sensor: acc_range_g, gyr_range_degps"
+    known = "at the top: belt_speed_mps, subject, description; for each sensor: acc_range_g, gyr_range_dps"
     return "\n".join([*lines, "", f"# if known, {known}", ""])
 
 

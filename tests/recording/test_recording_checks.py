@@ -391,7 +391,7 @@ def test_too_short(good: Csv) -> None:
 
 
 def test_clipping_is_counted(good: Csv) -> None:
-    good.sidecar += "acc_range_g = 1.6\ngyr_range_degps = 350\n"
+    good.sidecar += "acc_range_g = 1.6\ngyr_range_dps = 350\n"
     track = good.read().tracks["left_foot"]
     full = (np.abs(track.acc_mps2) >= 1.6 * G_MPS2).any(axis=1) | (np.abs(track.gyr_radps) >= np.radians(350)).any(
         axis=1
@@ -442,7 +442,8 @@ def change(old: str, new: str) -> Callable[[str], str]:
         (lambda text: 'decimal = ","\n' + text, ("delimiter and decimal",)),
         (lambda text: "rate_hz = 0\n" + text, ("walk.toml:1: rate_hz = 0", "greater than 0")),
         (lambda text: text + "acc_range_g = 8\nacc_range_mps2 = 80\n", ("both given",)),
-        (lambda text: text + "gyr_range_degps = 8\ngyr_range_radps = 80\n", ("both given",)),
+        (lambda text: text + "gyr_range_dps = 8\ngyr_range_radps = 80\n", ("both given",)),
+        (lambda text: text + "gyr_range_degps = 8\n", ("gyr_range_degps is gyr_range_dps now",)),
         (lambda text: text + 'mounting = { forward = "+x", up = "-x" }\n', ("lie along the same axis",)),
         (lambda text: text + '[can]\ndbc = "a.dbc"\n', ("[can] is for CAN logs",)),
         (
