@@ -59,6 +59,7 @@ MOST_STILL: Final = 2.8  # times as far as before all axes may go, in usual rang
 STILL_SUM: Final = 4.0  # as far as that counts as before, however seldom it is still …
 STILL_SUM_AT_FIRST, KNOWN_SUM = 12.0, 120.0  # … and until they have gone six strides' way
 FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
+NO_RATE: Final = (0.0, 0.0, 0.0)  # what some gyroscopes show below their dead band, whatever their noise
 NONE_SAME: Final = (False, False, False)
 Turn = tuple[Vector3, Vector3, Vector3]
 Six = tuple[float, float, float, float, float, float]
@@ -77,6 +78,7 @@ class Coherence:
         self.not_ready = ""  # while a triad is frozen
         self._t_ns = 0
         self._force_repeats, self._rate_repeats = _Repeats(), _Repeats()
+        self._band_force: Vector3 | None = None  # when the rate became exactly 0
         self._stillness, self._mean_force = Stillness(), MeanForce()
         self._restart()
 
@@ -94,6 +96,12 @@ class Coherence:
         (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
         force_repeats = self._force_repeats.observe(sample.acc_mps2, step_ns)
         rate_repeats = self._rate_repeats.observe(sample.gyr_radps, step_ns)
+        if sample.gyr_radps != NO_RATE:
+            self._band_force = None
+        elif self._band_force is None:
+            self._band_force = sample.acc_mps2
+        elif not (self._force_repeats.ns or _apart(sample.acc_mps2, self._band_force, FORCE_MOVED_MPS2)):
+            self._rate_repeats.ns = 0  # a gyroscope with a dead band, at rest: it counts from the first movement on
         if force_repeats or rate_repeats:
             if frozen := self._frozen(sample, step_ns):
                 return frozen

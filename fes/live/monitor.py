@@ -208,7 +208,10 @@ class Monitor(ShownLog):
             self._sides.add_event(event)
         if isinstance(event, ImuSample):
             if (monitor := self.sensors.get(event.sensor)) is not None:
+                known = monitor.dead_band
                 monitor.add(event)
+                if monitor.dead_band != known:
+                    self.note(Note(event.t_ns, "info", "session", monitor.dead_band))
                 # later than the sensor's own clock says; both stamps are in the log, for every sample
                 self.arrivals[event.sensor].add(event.t_ns - event.t_sensor_ns)
         elif isinstance(event, (StimAlive, StimStatus)):

@@ -9,6 +9,7 @@ from fes.estimation.sensor_choice import Calibration
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample
 
 SPAN_NS: Final = NS_PER_S
+ZEROS_S: Final = 0.2  # of nothing but exact zeros: a dead band
 ALIVE_NS: Final = 40_000_000
 RATE_TOLERANCE: Final = 0.1  # of the nominal rate; beyond it the settings are wrong or samples are lost
 STILL_RADPS: Final = 0.15  # standing sways less than this; a stance in walking does not last a second
@@ -29,6 +30,8 @@ class SensorMonitor:
         self._values: FloatArray = np.zeros((self._size, 6))
         self.count = 0
         self.newest_ns: int | None = None
+        self.dead_band = ""  # in words, once it has shown one
+        self._zeros = 0
 
     def add(self, sample: ImuSample) -> None:
         """Take in a sample."""
@@ -37,6 +40,11 @@ class SensorMonitor:
         self._values[row, :3] = sample.acc_mps2
         self._values[row, 3:] = sample.gyr_radps
         self.count += 1
+        self._zeros = 0 if any(sample.gyr_radps) else self._zeros + 1
+        if self._zeros > self.device.rate_hz * ZEROS_S and not self.dead_band:
+            self.dead_band = (
+                f"{self.device.sensor}: its gyroscope reads exactly 0 at rest (a dead band); counted as rest"
+            )
 
     def rate_hz(self, t_ns: int) -> float:
         """Samples that came within the last second."""

@@ -520,7 +520,7 @@ def test_no_force_at_all_is_no_direction() -> None:
 def test_the_gate_latches_a_frozen_triad_and_names_it() -> None:
     for changing, frozen in (("gyr_radps", "accelerometer"), ("acc_mps2", "gyroscope")):
         bench = Bench()
-        values: dict[str, Vector3] = {"acc_mps2": (0.0, 0.0, G_MPS2), "gyr_radps": (0.0, 0.0, 0.0)}
+        values: dict[str, Vector3] = {"acc_mps2": (0.0, 0.0, G_MPS2), "gyr_radps": (0.01, 0.0, 0.0)}
         begun_ns = bench.t_ns
         for k in range(30):
             bench.wait(10, sampling=False)
@@ -534,6 +534,47 @@ def test_the_gate_latches_a_frozen_triad_and_names_it() -> None:
         assert f"{frozen} is frozen" in bench.gate.arming_refused, "nor can it be armed as long as that lasts"
         bench.wait(10)
         bench.rearm()
+
+
+def dead_band(v: Six, t_s: float) -> Six:
+    """The rate is exactly 0 while it is small."""
+    return (*v[:3], 0.0, 0.0, 0.0) if max(map(abs, v[3:])) < 0.05 else v
+
+
+@pytest.mark.requirement("SR-10")
+def test_a_gyroscope_with_a_dead_band_is_not_frozen_standing_or_walking() -> None:
+    assert walk(dead_band, seconds=20 * STRIDE_S) == ("", math.inf)
+    judge = Coherence("left_foot")
+    for k in range(6000):  # a minute of standing
+        force = (1e-3 * (k % 7), 0.3 * math.sin(0.01 * k), G_MPS2)
+        assert judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, force, (0.0, 0.0, 0.0))) == ""
+        assert judge.not_ready == ""
+
+
+@pytest.mark.requirement("SR-10")
+def test_a_gyroscope_that_died_in_its_dead_band_is_told_with_the_first_movement() -> None:
+    dead = 4 * STRIDE_S + 0.2  # in stance, where nobody can know yet
+
+    def change(v: Six, t_s: float) -> Six:
+        return (*v[:3], 0.0, 0.0, 0.0)
+
+    said, after_s = walk(change, from_s=dead)
+    assert "gyroscope is frozen" in said
+    moved_s = next(t for t in (0.01 * k for k in range(60)) if abs(stride(dead + t)[0] - stride(dead)[0]) > 1.0)
+    assert after_s - moved_s <= 0.07
+
+
+@pytest.mark.requirement("SR-10")
+def test_both_triads_the_same_are_off_in_65_ms_though_the_rate_is_0() -> None:
+    bench = Bench()
+    begun_ns = bench.t_ns
+    for _ in range(60):
+        bench.wait(2, sampling=False)
+        bench.sample(acc_mps2=(0.0, 0.1, G_MPS2), gyr_radps=(0.0, 0.0, 0.0))
+        if bench.gate.latched:
+            break
+    assert "is frozen" in bench.gate.latched
+    assert bench.t_ns - begun_ns <= 65 * MS
 
 
 # --- what repeats itself, to the sample -------------------------------------------------------------------------------

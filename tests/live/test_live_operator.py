@@ -52,7 +52,7 @@ from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status, percent_of
 from fes.live.stimulator import Electrodes
 from fes.live.terminal_view import picture
-from fes.session_log import Note
+from fes.session_log import Note, read_session
 from fes.signals import (
     Event,
     FootSwitchEvent,
@@ -912,3 +912,20 @@ def test_what_the_system_refuses_is_named_with_its_cost() -> None:
     assert "fixed priority (SCHED_FIFO)" in refused
     assert "locked memory (mlockall)" in refused
     assert all(all(texts) for texts in refused.values())
+
+
+def test_a_dead_band_is_said_once_and_arms_as_rest(tmp_path: Path) -> None:
+    bench = Bench()
+    log = PipedLog(tmp_path / "session.feslog", {})
+    monitor = Monitor(log, {FOOT: bench.monitor}, {FOOT: FOOT}, None)
+    for k in range(1000):
+        moves = 0.5 if k in (400, 700) else 0.0  # it leaves its dead band and comes back
+        event = ImuSample(10 * MS * k, FOOT, 10 * MS * k, (0.001 * (k % 7), 0.0, 9.81), (moves, 0.0, 0.0))
+        monitor.event(event)
+        bench.gate.observe(event)
+    assert bench.gate.latched == ""
+    assert bench.monitor.not_at_rest(10_000 * MS) == ""
+    log.close({})
+    assert [note.text for note in read_session(log.path).notes] == [
+        "right_foot: its gyroscope reads exactly 0 at rest (a dead band); counted as rest"
+    ]
