@@ -69,6 +69,7 @@ class TwoFeet:
 
     def __init__(self, clock: Clock, keys: int, script: dict[int, bytes]) -> None:
         self._clock, self._keys, self._script = clock, keys, script
+        self.serials: dict[str, str] = {}
         self._signals = [walking_signal(sensor, RATE_HZ) for sensor in FOOT_SENSORS]
         self._ready, more = os.pipe()  # always readable
         os.write(more, b"x")

@@ -2,7 +2,9 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Final
 
 from fes.config import ImuDevice
@@ -38,9 +40,13 @@ class LineCounts:
 
 
 class ImuPort(ABC):
-    """One line with one sensor or several. Only opening waits; nothing here reads a clock."""
+    """One line with one sensor or several. Only opening waits; nothing here reads a clock.
+
+    ``serials``: by sensor, the serial number of the device there, where it tells one.
+    """
 
     sensors: tuple[str, ...]
+    serials: Mapping[str, str] = MappingProxyType({})
     counts: dict[str, LineCounts]
 
     @abstractmethod

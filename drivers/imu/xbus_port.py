@@ -57,6 +57,7 @@ class XbusImu(LineSensorPort):
     def _configure(self) -> None:
         rate = round(self._device.rate_hz)
         self._ask(Mid.GO_TO_CONFIG, b"", Mid.GO_TO_CONFIG_ACK)
+        self.serials = {self._device.sensor: self._ask(Mid.REQ_DID, b"", Mid.DEVICE_ID).hex().upper()}
         answer = self._ask(Mid.SET_OUTPUT, xbus.output_configuration(rate), Mid.SET_OUTPUT_ACK)
         try:
             rates = xbus.configured_rates(answer)

@@ -10,6 +10,7 @@ import can
 
 from drivers.imu.port import ImuLost
 from drivers.simulated.imu.device import LASTING
+from drivers.simulated.imu.wire import SERIAL
 from drivers.simulated.lines import LINE_FAULTS
 from drivers.simulated.process_handle import ProcessHandle
 from drivers.stimulator.bus import LOOPBACK, MULTICAST, BusError, open_bus
@@ -158,6 +159,7 @@ def spawn_imu(
     id_offset: int = 0,
     options: Mapping[str, str | int | float | bool] | None = None,
     name: str = "imu",
+    serial: str = SERIAL,
     record: Path | None = None,
 ) -> ImuHandle:
     """Start ``python -m drivers.simulated.imu.process`` and wait until it is ready.
@@ -165,11 +167,13 @@ def spawn_imu(
     It feels what ``sensor`` feels in ``recording``, or in a simulated walk, ``rate_hz`` times a second by a clock
     that begins at ``offset_s`` and drifts by ``drift_ppm``. ``line`` is for ``xbus`` and ``ximu3``, ``bus`` for
     ``xsens_can`` (with ``id_offset``) and ``dbc_can`` (with ``options`` as in a session's settings), ``name`` for LSL.
-    ``record``: the file for :meth:`ImuHandle.played`.
+    ``serial``: the number that ``xbus`` tells. ``record``: the file for :meth:`ImuHandle.played`.
 
     Raises:
         ImuLost: it ended, or was not ready in time.
     """
     arguments = _options(device=device, sensor=sensor, rate=rate_hz, offset=offset_s, drift=drift_ppm, line=line)
-    arguments += _options(id_offset=id_offset, name=name, recording=recording, bus=bus and bus.model_dump_json())
+    arguments += _options(
+        id_offset=id_offset, name=name, serial=serial, recording=recording, bus=bus and bus.model_dump_json()
+    )
     return ImuHandle(arguments + _options(options=None if options is None else json.dumps(dict(options))), record)

@@ -66,6 +66,7 @@ class SensorCalibrations:
         sides: for sensors that were not labelled, which foot each is on.
         verdict: how that, or for labelled feet the label's check, came out; None where two feet did not walk.
         swapped: two labelled feet that clearly move like each other's mirror image.
+        serials: by sensor, the serial number of the device there, where it told one: what it is bound to.
     """
 
     calibrations: dict[str, Calibration]
@@ -73,6 +74,7 @@ class SensorCalibrations:
     sides: dict[str, str] = field(default_factory=dict)
     verdict: SideVerdict | None = None
     swapped: bool = False
+    serials: Mapping[str, str] = field(default_factory=dict)
 
 
 def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, incline: float = 0.0) -> SensorCalibrations:
@@ -160,6 +162,8 @@ def labelled(recording: Recording, sides: Mapping[str, str]) -> Recording:
 def save(found: SensorCalibrations, path: Path) -> None:
     """Write calibrations as JSON; OSError where that fails."""
     data: dict[str, Any] = {"format": FORMAT, "feet": {}, "shanks": {}, "sides": found.sides}
+    if found.serials:
+        data["serials"] = dict(found.serials)
     for sensor, calibration in found.calibrations.items():
         data["shanks" if isinstance(calibration, ShankCalibration) else "feet"][sensor] = calibration.to_dict()
     path.write_text(json.dumps(data, indent=1), encoding="utf-8")
@@ -180,13 +184,31 @@ def load(path: Path) -> SensorCalibrations:
         for name, side in sides.items():
             if name not in UNLABELLED_FEET or side not in FOOT_SENSORS:
                 raise ValueError(f"{name!r} cannot be {side!r}")
-        return SensorCalibrations(found, sides=sides)
+        serials = {str(name): str(serial) for name, serial in data.get("serials", {}).items()}
+        return SensorCalibrations(found, sides=sides, serials=serials)
     except CalibrationError:
         raise
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}. Make one with fes calibrate.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise CalibrationError(f"{path}: is no calibration ({error}). Make one with fes calibrate.") from error
+
+
+def refuse_others(stored: SensorCalibrations, serials: Mapping[str, str], path: Path | str) -> None:
+    """Refuse a calibration of other devices than those that are there, by their ``serials``.
+
+    Raises:
+        CalibrationError: names both, and the place that the one found there belongs to.
+    """
+    owners = {serial: sensor for sensor, serial in stored.serials.items()}
+    for sensor, serial in serials.items():
+        bound = stored.serials.get(sensor, serial)
+        if serial != bound:
+            owner = f"that one is the {owners[serial]}'s" if serial in owners else "that one it does not know"
+            raise CalibrationError(
+                f"{path}: the {sensor} was calibrated with sensor {bound}, on it is {serial}; {owner}. Put each sensor "
+                "on its own place, or calibrate again."
+            )
 
 
 def stored_calibrations(given: Path | SensorCalibrations, recording: Recording) -> tuple[Recording, SensorCalibrations]:

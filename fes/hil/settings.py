@@ -195,7 +195,7 @@ def reversed_axis(calibration: Path, folder: Path) -> Path:
         else:
             found[sensor] = replace(each, left=reversed_to)
     target = folder / "reversed.calibration.json"
-    save(SensorCalibrations(found, sides=stored.sides), target)
+    save(SensorCalibrations(found, sides=stored.sides, serials=stored.serials), target)
     return target
 
 

@@ -4,7 +4,7 @@ What the live loop asks of devices; the commands hand them in, so that the loop 
 """
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, Generic, Protocol, TypeVar
 
 from fes.control.clock_sync import SensorClock
@@ -17,6 +17,10 @@ class Imu(Protocol):
     @property
     def sensors(self) -> Sequence[str]:
         """Which sensors it brings."""
+
+    @property
+    def serials(self) -> Mapping[str, str]:
+        """By sensor, the serial number of the device there, where it tells one."""
 
     def fileno(self) -> int | None:
         """A descriptor that becomes readable with new samples; None where there is none."""
@@ -111,6 +115,7 @@ class SensorStream:
         self, port: Imu, clock: Callable[[], SensorClock], lost: type[Exception], needed: frozenset[str]
     ) -> None:
         self.sensors = tuple(port.sensors)
+        self.serials = dict(port.serials)
         self.port: Imu | None = port
         self._held, self._clock, self._lost = port, clock, lost
         self.needed = needed & set(self.sensors)
@@ -196,4 +201,9 @@ class SensorStream:
 
     def _reopened(self) -> Imu:
         self._held.reopen()
+        for sensor, serial in self._held.serials.items():
+            if serial != self.serials.get(sensor, serial):
+                self._held.close()
+                self.why_lost = f"{sensor}: sensor lost: another one answers ({serial}, it was {self.serials[sensor]})"
+                raise self._lost(self.why_lost)
         return self._held

@@ -22,6 +22,7 @@ from fes.calibration.recording import (
     calibrate_sensors,
     labelled,
     load,
+    refuse_others,
     save,
     stored_calibrations,
 )
@@ -218,3 +219,21 @@ def test_shank_calibrations_come_back_whole() -> None:
     back = ShankCalibration.from_dict(json.loads(json.dumps(found.to_dict())))
     assert back.levels == found.levels
     assert back.parameters() == found.parameters()
+
+
+@pytest.mark.requirement("SR-28")
+def test_a_calibration_is_bound_to_the_sensors_that_told_their_numbers(tmp_path: Path) -> None:
+    found = calibrate_sensors(shank_recording(), ["right_shank"])
+    bound = replace(found, serials={"right_shank": "0A", "left_shank": "0B"})
+    save(bound, tmp_path / "c.json")
+    stored = load(tmp_path / "c.json")
+    assert stored.serials == bound.serials
+    refuse_others(stored, {"right_shank": "0A", "left_shank": "0B"}, "c.json")
+    refuse_others(stored, {"left_foot": "0C"}, "c.json")  # of a place that it binds nothing to
+    refuse_others(found, {"right_shank": "0C"}, "c.json")  # made where none told its number
+    with pytest.raises(
+        CalibrationError, match=r"right_shank was calibrated with sensor 0A, on it is 0B; .* left_shank's"
+    ):
+        refuse_others(stored, {"right_shank": "0B", "left_shank": "0A"}, "c.json")
+    with pytest.raises(CalibrationError, match="on it is 0C; that one it does not know"):
+        refuse_others(stored, {"right_shank": "0C"}, "c.json")

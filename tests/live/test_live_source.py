@@ -196,6 +196,7 @@ class SharedLine:
     sensors = ("left_foot", "right_foot")
 
     def __init__(self) -> None:
+        self.serials: dict[str, str] = {}
         self.given: list[Raw] = []
 
     def give(self, t_ns: int, *sensors: str, stamp_ns: int | None = None) -> None:
@@ -449,3 +450,26 @@ def test_a_line_that_cannot_be_heard_is_lost_too() -> None:
     line.broken = "cannot be read"
     assert stimulator.poll(clock.now_ns) == []
     assert [type(event) for event in stimulator.events(clock.now_ns)] == [SystemFault]
+
+
+@pytest.mark.requirement("SR-28")
+def test_another_sensor_that_answers_where_one_was_lost_stays_lost() -> None:
+    imu = SocketImu()
+    imu.serials = {FOOT: "0A"}
+    line = SensorStream(imu, SameClock, Lost, frozenset({FOOT}))
+    imu.unplug()
+    assert [type(event) for event in line.read(0)] == [SystemFault]
+    imu.away, imu.serials = False, {FOOT: "0B"}
+
+    def tried(since_ns: int) -> None:
+        for turn in range(200):
+            list(line.supervise(since_ns + turn * 100 * MS))
+            time.sleep(0.002)
+
+    tried(0)
+    assert line.port is None
+    assert line.why_lost == "right_foot: sensor lost: another one answers (0B, it was 0A)"
+    imu.reopen = lambda: None  # type: ignore[method-assign]
+    imu.serials = {FOOT: "0A"}
+    tried(40_000 * MS)
+    assert line.port is imu

@@ -33,6 +33,7 @@ class Standing:
     sensors = (FOOT,)
 
     def __init__(self, clock: SetClock) -> None:
+        self.serials: dict[str, str] = {}
         self._clock = clock
         self._ready, more = os.pipe()  # always readable
         os.write(more, b"x")

@@ -29,6 +29,14 @@ TICK_NS = 500_000  # of the stamps that the DBC here describes
 NO_BUS = why_silent(free_bus())
 
 
+@pytest.mark.requirement("SR-28")
+def test_an_mti_tells_its_serial_number() -> None:
+    with spawn_imu("xbus", serial="037012AB") as imu:
+        (port,) = open_imus([settings("xbus", imu.port)])
+        assert port.serials == {"right_foot": "037012AB"}
+        port.close()
+
+
 def test_two_sensors_at_500_hz_lose_nothing_and_keep_their_own_clocks() -> None:
     with (
         spawn_imu("xbus", sensor="left_foot", rate_hz=500, offset_s=1000.0, drift_ppm=80) as left,

@@ -86,6 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--id-offset", type=int, default=0, help="for xsens_can")
     parser.add_argument("--options", default="{}", help="for dbc_can: the options of the session's settings, as JSON")
     parser.add_argument("--name", default="imu", help="of the LSL stream")
+    parser.add_argument("--serial", default=wires.SERIAL, help="number of an xbus sensor, as hex digits")
     parser.add_argument("--record", type=Path, help="where to put down, as JSON lines, when which sample was played")
     options = parser.parse_args(arguments)
     stop = stop_signals()
@@ -116,7 +117,9 @@ def _line(options: argparse.Namespace) -> tuple[wires.Wire, DeviceEnd]:
         return wires.LslWire(), LslEnd(options.name, options.rate)
     if options.device in ("xbus", "ximu3"):
         ends: dict[str, type[PtyEnd | TcpEnd | UdpEnd]] = {"pty": PtyEnd, "tcp": TcpEnd, "udp": UdpEnd}
-        return wires.XbusWire(options.rate) if options.device == "xbus" else wires.Ximu3Wire(), ends[options.line]()
+        return wires.XbusWire(options.rate, options.serial) if options.device == "xbus" else wires.Ximu3Wire(), ends[
+            options.line
+        ]()
     xsens = options.device == "xsens_can"
     wire = wires.XsensCanWire(options.id_offset) if xsens else wires.DbcWire(json.loads(options.options))
     return wire, CanEnd(Bus.model_validate_json(options.bus or "{}"))

@@ -44,6 +44,9 @@ class Reading:
         return all(map(math.isfinite, (*self.acc_mps2, *self.gyr_radps)))
 
 
+SERIAL: Final = "037003F8"  # of a simulated MTi, unless it is given another
+
+
 class Wire(ABC):
     """A kind of device. ``carries_nan``: it sends floating point, in which a value can be NaN or infinite."""
 
@@ -65,8 +68,8 @@ class Wire(ABC):
 class XbusWire(Wire):
     """An MTi: configuration and measurement state, the host's choice of rate acknowledged if it is its own."""
 
-    def __init__(self, rate_hz: float) -> None:
-        self._rate = round(rate_hz)
+    def __init__(self, rate_hz: float, serial: str = SERIAL) -> None:
+        self._rate, self._serial = round(rate_hz), bytes.fromhex(serial)
         self._decoder = xbus.XbusDecoder()
         self._measuring = True
 
@@ -95,7 +98,7 @@ class XbusWire(Wire):
         if self._measuring:
             return [xbus.encode(Mid.ERROR, b"\x04")]
         if message.mid == Mid.REQ_DID:
-            return [xbus.encode(Mid.DEVICE_ID, b"\x03\x70\x03\xf8")]
+            return [xbus.encode(Mid.DEVICE_ID, self._serial)]
         if message.mid == Mid.SET_OUTPUT and len(message.data) % 4 == 0:
             pairs = struct.iter_unpack(">HH", message.data)
             given = [(xdi, 0xFFFF if rate == 0xFFFF else self._rate) for xdi, rate in pairs]

@@ -18,7 +18,7 @@ from drivers.stimulator.open import open_lead_detected_from_ma
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
-from fes.calibration.recording import SensorCalibrations, load
+from fes.calibration.recording import SensorCalibrations, load, refuse_others
 from fes.cli.calibrate import describe, save_calibrations
 from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing, fresh_folder, interrupted
 from fes.cli.common.options import PATH, Command, Number, RenamedOptions, utc_now
@@ -89,8 +89,14 @@ def calibrate(
         raise Problem("Calibration was given up; nothing was stimulated.")
     for calibration in finding.found.values():
         click.echo(describe(calibration), err=True)
-    save_calibrations(SensorCalibrations(finding.found), folder / "calibration.json")
+    found = SensorCalibrations(finding.found, serials=serials_of(streams))
+    save_calibrations(found, folder / "calibration.json")
     return finding.found
+
+
+def serials_of(streams: Streams) -> dict[str, str]:
+    """By sensor, the serial number that the device there told."""
+    return {sensor: serial for stream in streams for sensor, serial in stream.serials.items()}
 
 
 SOCKET_NAME = "control.sock"
@@ -168,11 +174,15 @@ def run_session(path: Path, options: Options) -> Path:
     with failing(ConfigError, CalibrationError):
         session = usable(load_session(path), path)
         refuse_blind_targets(session, path)
-        calibrations = load(options.calibration).calibrations if options.calibration else None
+        stored = load(options.calibration) if options.calibration else None
+        calibrations = stored.calibrations if stored else None
     folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
     with ExitStack() as stack:
         supervisor = stack.enter_context(SupervisorProcess())
         streams = devices.open_sensors(session, stack)
+        if stored is not None:
+            with failing(CalibrationError):
+                refuse_others(stored, serials_of(streams), str(options.calibration))
         keys = options.keys_from if options.keys_from is not None else standard_keys()
         if keys is not None:
             stack.enter_context(Terminal(keys))
