@@ -48,9 +48,11 @@ def exchanged(tracks: Mapping[str, Track]) -> dict[str, Track]:
     return {"left_foot": replace(right, sensor="left_foot"), "right_foot": replace(left, sensor="right_foot")}
 
 
-def followed(recording: Recording, calibrations: Mapping[str, Calibration]) -> tuple[SideCheck, int]:
+def followed(
+    recording: Recording, calibrations: Mapping[str, Calibration], check: SideCheck | None = None
+) -> tuple[SideCheck, int]:
     """The check after a walk, and how many strides it had seen when it was done."""
-    check, seen = SideCheck(calibrations), 0
+    check, seen = check or SideCheck(calibrations), 0
     trackers = {}
     for foot, calibration in calibrations.items():
         assert isinstance(calibration, FootCalibration)
@@ -77,6 +79,31 @@ def test_exchanged_feet_are_told_in_the_first_strides_and_feet_on_their_own_side
     assert check.read_events(7) == [SystemFault(7, EXCHANGED)]
     assert check.read_events(8) == [], "once; but it goes on speaking against arming"
     assert check.exchanged == EXCHANGED
+
+
+@pytest.mark.requirement("SR-21")
+@pytest.mark.parametrize("paused", [True, False])
+def test_feet_exchanged_in_a_pause_or_a_gap_are_told_in_the_first_strides_after_it(paused: bool) -> None:
+    recording, calibrations = recording_of_two_feet()
+    check, _ = followed(recording, calibrations)
+    end_ns = max(int(track.t_ns[-1]) for track in recording.tracks.values())
+    assert check.done
+    if paused:
+        check.add_event(OperatorAct(end_ns, OperatorAction.DISARM))
+        assert check.done, "nothing is stimulated yet"
+        check.add_event(OperatorAct(end_ns, OperatorAction.ARM))
+    else:
+        check.add_event(ImuSample(end_ns + 1_010_000_000, "left_foot", end_ns, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+    assert not check.done
+    later = {
+        foot: replace(track, t_ns=track.t_ns + 2 * end_ns, t_sensor_ns=track.t_sensor_ns + 2 * end_ns)
+        for foot, track in exchanged(recording.tracks).items()
+    }
+    check, seen = followed(replace(recording, tracks=later), calibrations, check)
+    assert check.exchanged == EXCHANGED
+    assert seen <= 24
+    check.add_event(OperatorAct(3 * end_ns, OperatorAction.ARM))
+    assert check.exchanged == EXCHANGED, "no arming takes it back"
 
 
 def test_one_foot_alone_is_never_told() -> None:
