@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from fes.estimation.closures import BIAS, GAIN, LAG, RESIDUALS, SOUND, closures
 from fes.recording.tracks import Track, newer_samples
@@ -24,6 +26,8 @@ SHORTEST_S, LONGEST_S = 0.4, 3.0  # of a stride: what is added up for longer dri
 FEWEST: Final = 12  # strides that an estimate is made from
 QUIET_RADPS: Final = 0.4  # at a stride's border, as for gravity (fes.estimation.foot.calibration)
 BORDER_S: Final = 0.0401
+APART_S: Final = 0.25  # no two quiet instants are closer
+RESTING_RADPS, MOVING_RADPS = 1.0, 1.5  # at one, and somewhere between two
 REPEATED: Final = 4  # equal greatest values in a row are a limit
 LEAST_LIMIT: Final = (15.0, 4.0)  # m/s², rad/s, as in fes.report.quality
 PRIOR_SD: Final = np.array((math.inf, 0.15, *3 * [math.radians(1.5)], 0.05))  # docs/witness.md
@@ -34,10 +38,10 @@ ENOUGH: Final = np.array((1e-4, 5e-4, 5e-4, 5e-4, 5e-4, 5e-4))  # a step so smal
 HUBER: Final = 2.5
 ROUNDS: Final = 8
 MOST, MOST_ON_GRID = 60, 24  # strides, of a recording that has more
-WORTH: Final = 0.25  # of the misfit
 STRIDE_SCATTER: Final = np.array((0.15, 0.15, 0.15, 0.05, 0.03, 0.03))  # of one stride's residuals, sound
 STRIDE_BIAS_SD_RADPS: Final = math.radians(15.0)
 LAGS_S: Final = np.arange(-0.08, 0.0801, 0.01)
+BESIDE_S: Final = (-0.02, 0.0, 0.02)  # the misfit has several hollows along the lag
 GAINS: Final = (0.7, 0.8, 0.87, 0.93, 1.0, 1.07, 1.15, 1.25, 1.4)
 
 
@@ -110,6 +114,21 @@ def spans_of(track: Track, starts_ns: IntArray, ends_ns: IntArray) -> Spans:
     )  # fmt: skip
 
 
+def quiet_spans(track: Track) -> Spans:
+    """As :func:`spans_of`, with borders of their own: the quietest instants between movements, whatever their sense.
+
+    The strides of the phase machine hang on the sign of the axis that it reads; these do not.
+    """
+    t_ns, _, gyr = newer_samples(track)
+    t_s = 1e-9 * (t_ns - t_ns[0])
+    rate = np.linalg.norm(_means(t_s, gyr, np.arange(t_s.size)), axis=1)
+    reach = max(round(APART_S / float(np.median(np.diff(t_s)))), 1)
+    around = sliding_window_view(np.pad(rate, reach, mode="edge"), 2 * reach + 1)
+    rows = np.flatnonzero((rate == around.min(axis=1)) & (rate < RESTING_RADPS))
+    moves = np.array([rate[low:high].max() > MOVING_RADPS for low, high in pairwise(rows.tolist())], dtype=np.bool_)
+    return spans_of(track, t_ns[rows[:-1][moves]], t_ns[rows[1:][moves]])
+
+
 def _means(t_s: FloatArray, values: FloatArray, rows: IntArray) -> FloatArray:
     """(K, 3) over what is near each of these rows."""
     sums = np.concatenate((np.zeros((1, 3)), np.cumsum(np.nan_to_num(values), axis=0)))
@@ -180,26 +199,17 @@ class Fits:
 
 
 def estimate(spans: Spans) -> Fits:
-    """Fit a sensor's strides under each of four assumptions, from a grid of lag and gain.
-
-    Where no place of the grid is better than none of both by ``WORTH``, nothing else is tried.
-    """
-    some = spans.thinned(MOST)
+    """Fit a sensor's strides under each of four assumptions, from a grid of lag and gain."""
+    some, fewer = spans.thinned(MOST), spans.thinned(MOST_ON_GRID)
     plain = refine(some, SOUND, (LAG, GAIN))
-    grid = np.array([(lag, gain, *rest) for rest in (SOUND[2:], plain.sensor[2:]) for lag in LAGS_S for gain in GAINS])
-    fewer = spans.thinned(MOST_ON_GRID)
-    every = closures(fewer.samples, fewer.first, fewer.last, np.vstack((grid, plain.sensor)))
-    *all_misfits, usual = misfit_of(np.nan_to_num(every, nan=1e3)).tolist()
-    misfit = np.array(all_misfits)
-    if usual - misfit.min() < WORTH:
-        return Fits(plain, plain, plain, plain)
-    half = len(grid) // 2
-    grid, misfit = grid[:half], misfit[:half]
+    grid = np.array([(lag, gain, *SOUND[2:]) for lag in LAGS_S for gain in GAINS])
+    misfit = misfit_of(np.nan_to_num(closures(fewer.samples, fewer.first, fewer.last, grid), nan=1e3))
     table = misfit.reshape(len(LAGS_S), len(GAINS))
     no_lag, no_gain = int(np.argmin(np.abs(LAGS_S))), GAINS.index(1.0)
-    lag_start = grid[int(np.argmin(table[:, no_gain])) * len(GAINS) + no_gain]
+    lag_s = LAGS_S[int(np.argmin(table[:, no_gain]))]
+    lag_starts = [(lag_s + beside, 1.0, *plain.sensor[2:]) for beside in BESIDE_S]
     gain_start = grid[no_lag * len(GAINS) + int(np.argmin(table[no_lag]))]
-    lag = _least([plain, *(refine(some, start, (GAIN,)) for start in (lag_start, plain.sensor))])
+    lag = _least([plain, *(refine(some, start, (GAIN,)) for start in (*lag_starts, plain.sensor))])
     gain = _least([plain, *(refine(some, start, (LAG,)) for start in (gain_start, plain.sensor))])
     starts = (grid[int(np.argmin(misfit))], lag.sensor, gain.sensor)
     return Fits(plain, lag, gain, _least([lag, gain, *(refine(some, start) for start in starts)]))

@@ -1,7 +1,8 @@
 """What is wrong with a sensor, from when on, and how the samples would be without it.
 
-Told is only what hardly any sound sensor on the feet of ``docs/witness.md`` showed: an estimate well outside of what
-these gave, that lets the strides close much better, and that is one fault, or two of which each is needed.
+An estimate is uncertain by the scatter of the strides, which are alike in part: the strides of one foot err together,
+so that many are worth 1 / ``ALIKE`` at most. Told is what is off by more than its uncertainty and by more than sound
+sensors are, and is one fault, or two of which each is off by so much. What is only likely is said not to be known.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from fes.recording.tracks import Track
 from fes.signals import FloatArray, IntArray
 from fes.witness.estimate import (
     FEWEST,
+    MOST,
     SCATTER_LEAST,
     BoolVector,
     Fit,
@@ -26,31 +28,32 @@ from fes.witness.estimate import (
     biases_of,
     estimate,
     misfit_of,
+    quiet_spans,
     spans_of,
 )
 
 Kind = Literal["lag", "gyr_gain", "gyr_bias", "acc_scale", "axes"]
-LEAST: Final = {LAG: 0.011, GAIN: 0.075, SCALE: 0.05}  # farther off than any sound foot that rests and does not drag
-SYSTEMATIC: Final = {LAG: 0.004, GAIN: 0.02, SCALE: 0.01}  # standard deviation between sound feet
-SURE: Final = 3.0
-GAINED: Final = 0.5  # by so much the misfit has to fall
-GAINED_LATER: Final = 1.2  # in a few strides
-OF_ONE: Final = 0.85  # of what two faults together explain, that one has to, where both are off
-OF_TWO: Final = 1.0  # or by so much both together have to explain more than either
+# Chosen on the known half of the persons (docs/witness.md).
+SURE: Final = 3.29  # standard deviations: one in a thousand, both sides
+ALIKE: Final = 0.17  # correlation of the errors of two strides of a foot: by how sound feet scatter
+LEAST: Final = {LAG: 0.013, GAIN: 0.075, SCALE: 0.05}  # moves stride length by 3.7, 3.2 and 3.3 %
+BIAS_LEAST_RADPS: Final = math.radians(6.0)  # a step of it
+SHARE: Final = 0.8  # of what lag and gain explain together, one alone has to
 CLOSES: Final = -15.0  # a foot that closes no better shows nothing of its sensor
 WINDOW: Final = 20  # strides, looked at by themselves
-BIAS_LEAST_RADPS: Final = math.radians(6.0)  # a step of it
-BIAS_SURE: Final = 6.0
 FEWEST_OF_PART: Final = 5  # strides before and after a change
-AXES_CLOSE: Final = -3.0
-AXES_GAINED: Final = 3.0
-AXES_GAINED_STRIDE: Final = 5.0
+AXES_CLOSE: Final = -6.0  # between quiet instants of whatever kind
+AXES_GAINED: Final = 4.0
+_NAMES: Final[dict[int, Kind]] = {LAG: "lag", GAIN: "gyr_gain", SCALE: "acc_scale"}
 _IDENTITY: Final = np.eye(3)
-_TURNS: Final = [
-    np.diag(signs)[list(order)].astype(float)
-    for order in permutations(range(3))
-    for signs in product((1, -1), repeat=3)
-]
+_TURNS: Final = sorted(  # the simplest first: as they are, signs, exchanges
+    (
+        np.diag(signs)[list(order)].astype(float)
+        for order in permutations(range(3))
+        for signs in product((1, -1), repeat=3)
+    ),
+    key=lambda turn: (-np.abs(np.diag(turn)).sum(), -np.diag(turn).sum()),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,76 +120,79 @@ def examine(track: Track, starts_ns: IntArray, ends_ns: IntArray) -> Testimony:
     """
     spans = spans_of(track, starts_ns, ends_ns)
     about: dict[str, Any] = {"strides": len(spans), "limit_radps": spans.limit_radps, "clipped": spans.clipped}
+    for own in (quiet_spans(track), spans):
+        axes = _axes(own)
+        if axes is not None and not _closes(spans, axes.from_ns):
+            return Testimony((axes,), **about)
     if len(spans) < FEWEST:
         kept = f"{len(spans)} of {spans.found} strides are whole, off the limits and begin and end at rest"
         why = f"{kept}; {FEWEST} are needed"
         return Testimony(silent=why, **about)
-    if (axes := _axes(spans)) is not None:
-        return Testimony((axes,), **about)
-    fits = estimate(spans)
-    lies = list(_judged(fits, len(spans)))
-    if not lies:
-        lies = _later(spans)
-    lies += _bias_step(spans)
-    best = min(fits.both.misfit, fits.plain.misfit)
-    silent = "" if best < CLOSES or lies else "its strides do not close well enough, whatever is assumed of the sensor"
-    return Testimony(tuple(lies), silent, **about)
+    lies, doubt, _ = _judged(estimate(spans), len(spans))
+    lies = _later(spans) or lies or _bias_step(spans)
+    return Testimony(tuple(lies), "" if lies else doubt, **about)
 
 
-def _judged(fits: Fits, strides: int, least: float = GAINED) -> list[Lie]:
-    """Lag or gain, or both where each is needed; else the scale."""
-    both = fits.both
-    lags, gains, twos = (fits.plain.misfit - fit.misfit for fit in (fits.lag, fits.gain, both))
-    far = {k: abs(both.sensor[k] - SOUND[k]) / LEAST[k] for k in (LAG, GAIN)}
-    found: list[Lie] = []
-    if both.misfit < CLOSES:
-        if min(far.values()) > 1.0 and twos - max(lags, gains) > OF_TWO:
-            found = [_lie("lag", both, LAG, strides), _lie("gyr_gain", both, GAIN, strides)]
-        else:
-            k = LAG if far[LAG] > far[GAIN] else GAIN
-            one, gained = (fits.lag, lags) if k == LAG else (fits.gain, gains)
-            alone = min(far.values()) <= 1.0 or gained >= OF_ONE * twos
-            if gained > least and alone and far[k] > 0.85 and _is_off(one, k):
-                found = [_lie("lag" if k == LAG else "gyr_gain", one, k, strides)]
-    if _is_off(fits.plain, SCALE) and _is_off(both, SCALE):
-        found.append(_lie("acc_scale", both, SCALE, strides))
-    return found
+def _uncertain(sd: float, strides: int) -> float:
+    """The standard deviation of what strides show, from that of as many independent ones."""
+    return sd * math.sqrt(1.0 + ALIKE * min(strides, MOST))
 
 
-def _is_off(fit: Fit, k: int) -> bool:
-    off = abs(float(fit.sensor[k]) - SOUND[k])
-    return off > max(LEAST[k], SURE * math.hypot(float(fit.sd[k]), SYSTEMATIC[k]))
+def _sure(gained: float, strides: int) -> bool:
+    """Whether a gain, summed over strides, is one (likelihood ratio)."""
+    return 2.0 * gained > SURE**2 * (1.0 + ALIKE * strides)
 
 
-def _lie(kind: Kind, fit: Fit, k: int, strides: int) -> Lie:
-    return Lie(kind, float(fit.sensor[k]), math.hypot(float(fit.sd[k]), SYSTEMATIC[k]), strides=strides)
+def _judged(fits: Fits, strides: int) -> tuple[list[Lie], str, Fit]:
+    """Lag or gain, or both where each is needed, and the scale; where none is, why it cannot be told; the estimate."""
+    if fits.both.misfit > CLOSES:
+        return [], "its strides do not close well enough, whatever is assumed of the sensor", fits.plain
+    used, doubt = min(strides, MOST), ""
+    gained, one = fits.plain.misfit - fits.both.misfit, min(fits.lag, fits.gain, key=lambda fit: fit.misfit)
+    fit, needed = fits.plain, []
+    if _sure(used * gained, used):
+        alone = fits.plain.misfit - one.misfit >= SHARE * gained
+        fit = one if alone else fits.both
+        needed = [LAG if one is fits.lag else GAIN] if alone else [LAG, GAIN]
+    told = [_lie(fit, k, strides) for k in needed if _is_off(fit, k, strides)]
+    if len(told) < len(needed):
+        far = [_lie(fit, k, strides).describe() for k in needed if abs(fit.sensor[k] - SOUND[k]) > LEAST[k]]
+        told, doubt = [], f"it may be that {' and '.join(far)}" if far else ""
+    if all(_is_off(each, SCALE, strides) for each in (fits.plain, fit)):
+        told.append(_lie(fit, SCALE, strides))
+    return told, doubt, fit
+
+
+def _is_off(fit: Fit, k: int, strides: int) -> bool:
+    return abs(fit.sensor[k] - SOUND[k]) > math.hypot(LEAST[k], SURE * _uncertain(float(fit.sd[k]), strides))
+
+
+def _lie(fit: Fit, k: int, strides: int) -> Lie:
+    return Lie(_NAMES[k], float(fit.sensor[k]), _uncertain(float(fit.sd[k]), strides), strides=strides)
 
 
 def _later(spans: Spans) -> list[Lie]:
-    """What shows only in the last strides: of windows the first from which on all say the same."""
+    """What the last strides show and the first ones do not, from the stride on at which it begins."""
     if len(spans) < 2 * WINDOW:
         return []
-    begins = list(range(0, len(spans) - WINDOW + 1, WINDOW))
-    told = [_judged(estimate(spans.part(slice(at, at + WINDOW))), WINDOW, GAINED_LATER) for at in begins]
-    for at, lies in zip(begins, told, strict=True):
-        kinds = [{lie.kind for lie in each} for each in told[begins.index(at) :]]
-        same = set.intersection(*kinds) if kinds else set()
-        if at and same and lies:
-            rest = spans.part(slice(at, None))
-            now = _judged(estimate(rest), len(rest)) if len(rest) >= FEWEST else lies
-            lies = [lie for lie in now if lie.kind in same] or [lie for lie in lies if lie.kind in same]
-            begin = _begin(spans, lies, at)
-            return [replace(lie, from_ns=spans.t_ns(begin), strides=len(spans) - begin) for lie in lies]
-    return []
+    lies, _, fit = _judged(estimate(spans.part(slice(-WINDOW, None))), WINDOW)
+    first, begin = estimate(spans.part(slice(WINDOW))).plain if lies else fit, 0
+    for _ in range(2 if lies else 0):
+        begin = _begin(spans, first, fit)
+        if not FEWEST_OF_PART <= begin <= len(spans) - FEWEST_OF_PART:
+            return []
+        rest = spans.part(slice(begin, None))
+        again, _, refined = _judged(estimate(rest), len(rest))
+        lies, fit = (again, refined) if again else (lies, fit)
+    return [replace(lie, from_ns=spans.t_ns(begin), strides=len(spans) - begin) for lie in lies]
 
 
-def _begin(spans: Spans, lies: list[Lie], seen: int) -> int:
-    """The stride from which on the lies explain more than their absence."""
-    sensor = np.array(SOUND)
-    for lie in lies:
-        sensor[{"lag": LAG, "gyr_gain": GAIN, "acc_scale": SCALE}[lie.kind]] = lie.value
-    tried = closures(spans.samples, spans.first, spans.last, np.array([SOUND, sensor]))
-    return _split(_better(tried[0], tried[1]), seen)
+def _begin(spans: Spans, before: Fit, after: Fit) -> int:
+    """The stride at which an estimate takes the place of another; 0 where the strides before do not deny it."""
+    tried = closures(spans.samples, spans.first, spans.last, np.array([before.sensor, after.sensor]))
+    gained = _better(tried[0], tried[1])
+    begin = _split(gained)
+    return begin if _sure(-float(gained[:begin].sum()), begin) else 0
 
 
 def _better(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -195,43 +201,46 @@ def _better(one: FloatArray, other: FloatArray) -> FloatArray:
     return gained
 
 
-def _split(gained: FloatArray, near: int | None = None) -> int:
+def _split(gained: FloatArray) -> int:
     """The stride from which on the gain adds up to most."""
-    rest = np.cumsum(gained[::-1])[::-1]
-    low, high = (0, len(gained)) if near is None else (max(near - WINDOW, 0), near + 1)
-    return low + int(np.argmax(rest[low:high]))
+    return int(np.argmax(np.cumsum(gained[::-1])[::-1])) if gained.size else 0
 
 
 def _axes(spans: Spans) -> Lie | None:
-    """Axes with a wrong sign, exchanged or left-handed: of all ways to put them, one that closes far better."""
+    """Axes with a wrong sign, exchanged or left-handed: of all ways to put them one that closes, where as they are the
+    strides do not; of those that are not surely worse, the simplest."""
     tried = closures(spans.samples, spans.first, spans.last, np.tile(SOUND, (len(_TURNS), 1)), np.array(_TURNS))
     tried = np.nan_to_num(tried, nan=1e3)
-    plain = next(k for k, turn in enumerate(_TURNS) if np.array_equal(turn, _IDENTITY))
-    best: tuple[float, int, int] | None = None
-    for k in range(len(_TURNS)):
-        gained = _better(tried[plain], tried[k])
-        begin = _split(gained)
-        if k != plain and (best is None or gained[begin:].sum() > best[0]):
-            best = float(gained[begin:].sum()), k, begin
-    assert best is not None
-    _, k, begin = best
+    gained = np.array([_better(tried[0], each) for each in tried])
+    begins = [_split(each) for each in gained]
+    best = max(range(len(_TURNS)), key=lambda k: float(gained[k, begins[k] :].sum()))
+    begin = begins[best]
     count = len(spans) - begin
-    if count < FEWEST_OF_PART:
+    if count < FEWEST_OF_PART or not _sure(float(gained[best, begin:].sum()), count):
         return None
-    part = spans.part(slice(begin, None))
-    rests = np.array((SOUND, (0.0, 1.0, *spans.rest_radps, 1.0)))  # without a bias, and with what it reads at rest
-    plainly = float(np.nan_to_num(misfit_of(closures(part.samples, part.first, part.last, rests)), nan=1e3).min())
-    best_misfit = float(misfit_of(tried[k, begin:]))
-    if best_misfit > AXES_CLOSE or plainly - best_misfit < AXES_GAINED:
+    worse = (gained[best, begin:] - gained[:, begin:]).sum(axis=1)
+    best = next(k for k in range(1, len(_TURNS)) if not _sure(float(worse[k]), count))
+    best_misfit = float(misfit_of(tried[best, begin:]))
+    if best_misfit > AXES_CLOSE or _plainly(spans.part(slice(begin, None))) - best_misfit < AXES_GAINED:
         return None
-    if np.median(_better(tried[plain], tried[k])[begin:]) < AXES_GAINED_STRIDE:
-        return None
-    acc_axes, gyr_axes, name = _named(_TURNS[k])
+    acc_axes, gyr_axes, name = _named(_TURNS[best])
     whole = begin < FEWEST_OF_PART
     return Lie(
         "axes", from_ns=None if whole else spans.t_ns(begin), strides=len(spans) if whole else count,
         acc_axes=acc_axes, gyr_axes=gyr_axes, name=name,
     )  # fmt: skip
+
+
+def _plainly(part: Spans) -> float:
+    """The misfit of strides as they are, without a bias or with what the gyroscope reads at rest."""
+    rests = np.array((SOUND, (0.0, 1.0, *part.rest_radps, 1.0)))
+    return float(np.nan_to_num(misfit_of(closures(part.samples, part.first, part.last, rests)), nan=1e3).min())
+
+
+def _closes(spans: Spans, from_ns: int | None) -> bool:
+    """Whether the phase machine's own strides close from an instant on: then the axes are right."""
+    begin = 0 if from_ns is None else int(np.searchsorted([spans.t_ns(k) for k in range(len(spans))], from_ns))
+    return len(spans) - begin >= FEWEST_OF_PART and _plainly(spans.part(slice(begin, None))) < CLOSES
 
 
 def _named(turn: FloatArray) -> tuple[FloatArray, FloatArray, str]:
@@ -274,10 +283,10 @@ def _bias_step(spans: Spans) -> list[Lie]:
     at, axis = splits[best], int(np.argmax(np.abs(steps[best])))
     step, before, after = float(steps[best][axis]), biases[:at, axis], biases[at:, axis]
     noise = 1.4826 * max(float(np.median(np.abs(part - np.median(part)))) for part in (before, after))
-    sd = 1.25 * noise * math.sqrt(1.0 / len(before) + 1.0 / len(after))
-    if abs(step) < max(BIAS_LEAST_RADPS, 2.0 * noise, BIAS_SURE * sd):
+    sd = 1.25 * noise * math.hypot(*(_uncertain(1.0, len(part)) / math.sqrt(len(part)) for part in (before, after)))
+    if abs(step) < math.hypot(BIAS_LEAST_RADPS, SURE * sd):
         return []
-    return [Lie("gyr_bias", step, max(sd, math.radians(0.5)), spans.t_ns(at), len(after), "xyz"[axis])]
+    return [Lie("gyr_bias", step, sd, spans.t_ns(at), len(after), "xyz"[axis])]
 
 
 def corrected(track: Track, lies: tuple[Lie, ...]) -> Track:

@@ -35,7 +35,7 @@ CODES = {
     "frozen_0.6s": "frozen",
     "dead_band_1dps": "dead_band",
     "gyro_bias_step": "gyr_bias",
-    "gyro_sign_flip": "few_valid",  # wanted is "axes"; but the borders of its strides come from the axis that lies
+    "gyro_sign_flip": "axes",
 }
 REFUSED = {"gravity_removed": "gravity was subtracted", "acceleration_only": "no gyroscope"}
 PROPOSED = {"rollover_1024": "time_wraps_at = 1024", "arrival_bursts": "packets of 15"}
