@@ -197,6 +197,7 @@ LONG: dict[str, Sequence[str]] = {
     "papers": ("papers.py",),
     "harm": ("virtual_harm.py",),
     "disorder": ("disorder.py",),
+    "witness": ("witness.py",),
     **{
         f"speed-{part}": ("speed_table.py", "--only", part)
         for part in ("analysis", "live", "peers", "growth", "session", "cohort")

@@ -46,6 +46,7 @@ def analyse(
     geometry: Mapping[str, FootGeometry] | None = None,
     ground: Ground | None = None,
     methods: Methods | None = None,
+    correct: bool = False,
 ) -> Analysis:
     """Track every foot through the whole recording, by its own sensor or else its side's shank.
 
@@ -56,39 +57,25 @@ def analyse(
         ground: what is walked on; None: as the recording says. On level ground every stride ends at the height at which
             it began, on an incline as much higher as that rises; else the height gained is measured.
         methods: other methods than those of every report, to replicate a paper.
+        correct: where the witness finds that a sensor lies (docs/witness.md), take the recording as a sound one would
+            have given it, calibrated anew, and say so among the findings.
 
     Raises:
         CalibrationError: no sensor could be calibrated.
     """
+    incline = (ground or recording.ground).incline
     if calibrations is None:
-        recording, found = calibrations_of(recording, incline=(ground or recording.ground).incline)
+        recording, found = calibrations_of(recording, incline=incline)
         calibrations = found.calibrations
-    return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, ground=ground, methods=methods))
-
-
-def analyse_corrected(
-    recording: Recording,
-    calibrations: Mapping[str, Calibration] | None = None,
-    *,
-    geometry: Mapping[str, FootGeometry] | None = None,
-    ground: Ground | None = None,
-    methods: Methods | None = None,
-) -> Analysis:
-    """As :func:`analyse`, of the recording as sound sensors would have given it, where the witness finds that some are
-    not (docs/witness.md); what was corrected is among the findings. Its calibration is then from the corrected one.
-
-    Raises:
-        CalibrationError: no sensor could be calibrated.
-    """
     asked: dict[str, Any] = {"geometry": geometry, "ground": ground, "methods": methods}
-    before = analyse(recording, calibrations, **asked)
-    lies = {sensor: told.lies for sensor, told in before.testimonies.items() if told.lies}
+    result = next(analyse_chunks([Chunk(recording)], calibrations, **asked))
+    lies = {sensor: told.lies for sensor, told in result.testimonies.items() if told.lies} if correct else {}
     if not lies:
-        return before
-    sound, found = calibrations_of(without_lies(before.recording, lies), incline=(ground or recording.ground).incline)
-    result = analyse(sound, found.calibrations, **asked)
-    uncorrected = {sensor: key_numbers(before, sensor) for sensor in lies}
-    return replace(result, corrections=lies, uncorrected=uncorrected, raw=before.raw)
+        return result
+    sound, found = calibrations_of(without_lies(result.recording, lies), incline=incline)
+    mended = next(analyse_chunks([Chunk(sound)], found.calibrations, **asked))
+    uncorrected = {sensor: key_numbers(result, sensor) for sensor in lies}
+    return replace(mended, corrections=lies, uncorrected=uncorrected, raw=result.raw)
 
 
 def analyse_chunks(

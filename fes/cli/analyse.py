@@ -15,7 +15,7 @@ import click
 
 from fes.analysis.bouts import Bout, Stride, bout_tables, bouts_of, kept_of, spans_ns, walking_only
 from fes.analysis.methods import Methods
-from fes.analysis.pipeline import analyse, analyse_chunks, analyse_corrected, calibrations_of, calibrations_of_chunks
+from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
 from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
@@ -173,8 +173,7 @@ def command(
                 click.secho("A long recording is not corrected: cut it to half an hour first.", fg="yellow", err=True)
             warned |= analyse_long(path, found, asked, methods, ground)
             continue
-        examined = analyse_corrected if asked.correct else analyse
-        result = examined(recording, found.calibrations, ground=ground, methods=methods)
+        result = analyse(recording, found.calibrations, ground=ground, methods=methods, correct=asked.correct)
         folder, bouts = fresh_folder(asked.out, path.stem), list[Bout]()
         if asked.bouts:
             bouts = bouts_of(kept_of(result.strides))

@@ -107,11 +107,9 @@ def spans_of(track: Track, starts_ns: IntArray, ends_ns: IntArray) -> Spans:
     usual = np.median(rates.reshape(-1, 3), axis=0) if both.size else np.zeros(3)  # the bias, if the foot rests
     quiet = (np.sqrt(((rates - usual) ** 2).sum(axis=2)) < QUIET_RADPS).all(axis=0)
     kept = off & quiet
-    samples = tuple(np.ascontiguousarray(each) for each in (t_s, acc, gyr))
-    return Spans(
-        (samples[0], samples[1], samples[2]), int(t_ns[0]), first[kept], last[kept], len(starts_ns), limits[1],
-        int((~off).sum()), usual,
-    )  # fmt: skip
+    samples = t_s, np.ascontiguousarray(acc), np.ascontiguousarray(gyr)
+    begin_ns, clipped_count = int(t_ns[0]), int((~off).sum())
+    return Spans(samples, begin_ns, first[kept], last[kept], len(starts_ns), limits[1], clipped_count, usual)
 
 
 def quiet_spans(track: Track) -> Spans:
@@ -207,7 +205,7 @@ def estimate(spans: Spans) -> Fits:
     table = misfit.reshape(len(LAGS_S), len(GAINS))
     no_lag, no_gain = int(np.argmin(np.abs(LAGS_S))), GAINS.index(1.0)
     lag_s = LAGS_S[int(np.argmin(table[:, no_gain]))]
-    lag_starts = [(lag_s + beside, 1.0, *plain.sensor[2:]) for beside in BESIDE_S]
+    lag_starts = [np.array((lag_s + beside, *plain.sensor[1:])) for beside in BESIDE_S]
     gain_start = grid[no_lag * len(GAINS) + int(np.argmin(table[no_lag]))]
     lag = _least([plain, *(refine(some, start, (GAIN,)) for start in (*lag_starts, plain.sensor))])
     gain = _least([plain, *(refine(some, start, (LAG,)) for start in (gain_start, plain.sensor))])

@@ -126,8 +126,7 @@ def examine(track: Track, starts_ns: IntArray, ends_ns: IntArray) -> Testimony:
             return Testimony((axes,), **about)
     if len(spans) < FEWEST:
         kept = f"{len(spans)} of {spans.found} strides are whole, off the limits and begin and end at rest"
-        why = f"{kept}; {FEWEST} are needed"
-        return Testimony(silent=why, **about)
+        return Testimony(silent=f"{kept}; {FEWEST} are needed", **about)
     lies, doubt, _ = _judged(estimate(spans), len(spans))
     lies = _later(spans) or lies or _bias_step(spans)
     return Testimony(tuple(lies), "" if lies else doubt, **about)
@@ -164,7 +163,7 @@ def _judged(fits: Fits, strides: int) -> tuple[list[Lie], str, Fit]:
 
 
 def _is_off(fit: Fit, k: int, strides: int) -> bool:
-    return abs(fit.sensor[k] - SOUND[k]) > math.hypot(LEAST[k], SURE * _uncertain(float(fit.sd[k]), strides))
+    return abs(float(fit.sensor[k]) - SOUND[k]) > math.hypot(LEAST[k], SURE * _uncertain(float(fit.sd[k]), strides))
 
 
 def _lie(fit: Fit, k: int, strides: int) -> Lie:
@@ -173,11 +172,11 @@ def _lie(fit: Fit, k: int, strides: int) -> Lie:
 
 def _later(spans: Spans) -> list[Lie]:
     """What the last strides show and the first ones do not, from the stride on at which it begins."""
-    if len(spans) < 2 * WINDOW:
-        return []
     lies, _, fit = _judged(estimate(spans.part(slice(-WINDOW, None))), WINDOW)
-    first, begin = estimate(spans.part(slice(WINDOW))).plain if lies else fit, 0
-    for _ in range(2 if lies else 0):
+    if not lies or len(spans) < 2 * WINDOW:
+        return []
+    first = estimate(spans.part(slice(WINDOW))).plain
+    for _ in range(2):
         begin = _begin(spans, first, fit)
         if not FEWEST_OF_PART <= begin <= len(spans) - FEWEST_OF_PART:
             return []
@@ -218,8 +217,8 @@ def _axes(spans: Spans) -> Lie | None:
     count = len(spans) - begin
     if count < FEWEST_OF_PART or not _sure(float(gained[best, begin:].sum()), count):
         return None
-    worse = (gained[best, begin:] - gained[:, begin:]).sum(axis=1)
-    best = next(k for k in range(1, len(_TURNS)) if not _sure(float(worse[k]), count))
+    worse = (gained[best, begin:] - gained[1:, begin:]).sum(axis=1).tolist()
+    best = next(k for k, by in enumerate(worse, 1) if not _sure(by, count))
     best_misfit = float(misfit_of(tried[best, begin:]))
     if best_misfit > AXES_CLOSE or _plainly(spans.part(slice(begin, None))) - best_misfit < AXES_GAINED:
         return None
@@ -253,9 +252,7 @@ def _named(turn: FloatArray) -> tuple[FloatArray, FloatArray, str]:
         wrong = [axis for axis, sign in zip("xyz", np.diag(turn), strict=True) if sign < 0]
         if len(wrong) == 3:
             mirror = np.diag([1.0, 1.0, -1.0])
-            name = (
-                "its axes are left-handed (one axis of both triads is mirrored), or the gyroscope's sense of turning is"
-            )
+            name = "its axes are left-handed (one of both triads is mirrored), or the gyroscope's sense of turning is"
             return mirror, mirror, name
         if len(wrong) == 2:
             (axis,) = set("xyz") - set(wrong)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.analysis.pipeline import analyse, analyse_corrected
+from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import Recording, read_recording
@@ -88,7 +88,7 @@ LIES: dict[str, tuple[Change, str, float, float]] = {
 @pytest.mark.parametrize("name", LIES)
 def test_what_a_sensor_says_wrongly_is_told_and_undone(name: str) -> None:
     change, kind, value, within = LIES[name]
-    result = analyse_corrected(lied(change))
+    result = analyse(lied(change), correct=True)
     (lie,) = result.corrections[FOOT]
     assert lie.kind == kind
     assert lie.value == pytest.approx(value, abs=within)
