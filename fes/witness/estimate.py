@@ -23,7 +23,7 @@ from fes.signals import FloatArray, IntArray
 BoolVector = np.ndarray[Any, np.dtype[np.bool_]]
 
 SHORTEST_S, LONGEST_S = 0.4, 3.0  # of a stride: what is added up for longer drifts
-FEWEST: Final = 12  # strides that an estimate is made from
+FEWEST: Final = 20  # strides that an estimate is made from
 QUIET_RADPS: Final = 0.4  # at a stride's border, as for gravity (fes.estimation.foot.calibration)
 BORDER_S: Final = 0.0401
 APART_S: Final = 0.25  # no two quiet instants are closer

@@ -38,9 +38,8 @@ SURE: Final = 3.29  # standard deviations: one in a thousand, both sides
 ALIKE: Final = 0.17  # correlation of the errors of two strides of a foot: by how sound feet scatter
 LEAST: Final = {LAG: 0.013, GAIN: 0.075, SCALE: 0.05}  # moves stride length by 3.7, 3.2 and 3.3 %
 BIAS_LEAST_RADPS: Final = math.radians(6.0)  # a step of it
-SHARE: Final = 0.8  # of what lag and gain explain together, one alone has to
+SHARE: Final = 0.85  # of what lag and gain explain together, one alone has to
 CLOSES: Final = -15.0  # a foot that closes no better shows nothing of its sensor
-WINDOW: Final = 20  # strides, looked at by themselves
 FEWEST_OF_PART: Final = 5  # strides before and after a change
 AXES_CLOSE: Final = -6.0  # between quiet instants of whatever kind
 AXES_GAINED: Final = 4.0
@@ -120,10 +119,11 @@ def examine(track: Track, starts_ns: IntArray, ends_ns: IntArray) -> Testimony:
     """
     spans = spans_of(track, starts_ns, ends_ns)
     about: dict[str, Any] = {"strides": len(spans), "limit_radps": spans.limit_radps, "clipped": spans.clipped}
-    for own in (quiet_spans(track), spans):
-        axes = _axes(own)
-        if axes is not None and not _closes(spans, axes.from_ns):
-            return Testimony((axes,), **about)
+    axes = _axes(quiet_spans(track))
+    if axes is None or _closes(spans, axes.from_ns):
+        axes = _axes(spans)
+    if axes is not None:
+        return Testimony((axes,), **about)
     if len(spans) < FEWEST:
         kept = f"{len(spans)} of {spans.found} strides are whole, off the limits and begin and end at rest"
         return Testimony(silent=f"{kept}; {FEWEST} are needed", **about)
@@ -172,10 +172,10 @@ def _lie(fit: Fit, k: int, strides: int) -> Lie:
 
 def _later(spans: Spans) -> list[Lie]:
     """What the last strides show and the first ones do not, from the stride on at which it begins."""
-    lies, _, fit = _judged(estimate(spans.part(slice(-WINDOW, None))), WINDOW)
-    if not lies or len(spans) < 2 * WINDOW:
+    lies, _, fit = _judged(estimate(spans.part(slice(-FEWEST, None))), FEWEST)
+    if not lies or len(spans) < 2 * FEWEST:
         return []
-    first = estimate(spans.part(slice(WINDOW))).plain
+    first = estimate(spans.part(slice(FEWEST))).plain
     for _ in range(2):
         begin = _begin(spans, first, fit)
         if not FEWEST_OF_PART <= begin <= len(spans) - FEWEST_OF_PART:
@@ -239,7 +239,7 @@ def _plainly(part: Spans) -> float:
 def _closes(spans: Spans, from_ns: int | None) -> bool:
     """Whether the phase machine's own strides close from an instant on: then the axes are right."""
     begin = 0 if from_ns is None else int(np.searchsorted([spans.t_ns(k) for k in range(len(spans))], from_ns))
-    return len(spans) - begin >= FEWEST_OF_PART and _plainly(spans.part(slice(begin, None))) < CLOSES
+    return len(spans) - begin >= FEWEST_OF_PART and _plainly(spans.part(slice(begin, None))) < AXES_CLOSE
 
 
 def _named(turn: FloatArray) -> tuple[FloatArray, FloatArray, str]:

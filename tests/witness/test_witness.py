@@ -69,7 +69,7 @@ def mean_length_m(result: Analysis) -> float:
 
 def test_a_sound_sensor_is_not_accused() -> None:
     told = sound().testimonies[FOOT]
-    assert told.strides >= 12
+    assert told.strides >= 20
     assert not told.lies
     assert not told.silent
 
@@ -119,7 +119,7 @@ def test_a_lie_that_moves_a_number_is_an_alert_with_its_effect_and_a_remedy() ->
 def test_too_few_strides_are_said_to_show_nothing() -> None:
     track = walk().tracks[FOOT]
     rows = sound().blocks[FOOT].rows[:6]
-    assert "12 are needed" in examine(track, rows["t_start_ns"], rows["t_end_ns"]).silent
+    assert "20 are needed" in examine(track, rows["t_start_ns"], rows["t_end_ns"]).silent
 
 
 def repeated(track: Track, begin: int, count: int) -> Track:
