@@ -198,6 +198,7 @@ LONG: dict[str, Sequence[str]] = {
     "harm": ("virtual_harm.py",),
     "disorder": ("disorder.py",),
     "witness": ("witness.py",),
+    "witness-sound": ("witness.py", "--lies"),
     **{
         f"speed-{part}": ("speed_table.py", "--only", part)
         for part in ("analysis", "live", "peers", "growth", "session", "cohort")

@@ -321,7 +321,8 @@ def main() -> int:
     rows = [judged(walker, name) for name in options.lies for walker in feet if walker.lied and walker.sound]
     accused = [f"{row.foot}: {', '.join(row.kinds)}" for row in sound if row.kinds]
     later = [name for name in options.lies if name in LATER]
-    tables = [of_sound(sound), *of_lies(rows, options.lies), by_set(rows, options.lies)]
+    tables = [of_sound(sound)]
+    tables += [*of_lies(rows, options.lies), by_set(rows, options.lies)] if rows else []
     tables += [of_begins(rows, later)] if later else []
     notes = [f"Accused as they are: {'; '.join(accused) or 'none'}."]
     notes.append(f"{sum(row.refused for row in sound)} feet are refused as they are and judged no further.")
