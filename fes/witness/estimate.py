@@ -41,7 +41,7 @@ MOST, MOST_ON_GRID = 60, 24  # strides, of a recording that has more
 STRIDE_SCATTER: Final = np.array((0.15, 0.15, 0.15, 0.05, 0.03, 0.03))  # of one stride's residuals, sound
 STRIDE_BIAS_SD_RADPS: Final = math.radians(15.0)
 LAGS_S: Final = np.arange(-0.08, 0.0801, 0.01)
-BESIDE_S: Final = (-0.02, 0.0, 0.02)  # the misfit has several hollows along the lag
+LAGS_APART_S: Final = (-0.02, 0.0, 0.02)  # the misfit has several hollows along the lag
 GAINS: Final = (0.7, 0.8, 0.87, 0.93, 1.0, 1.07, 1.15, 1.25, 1.4)
 
 
@@ -205,7 +205,7 @@ def estimate(spans: Spans) -> Fits:
     table = misfit.reshape(len(LAGS_S), len(GAINS))
     no_lag, no_gain = int(np.argmin(np.abs(LAGS_S))), GAINS.index(1.0)
     lag_s = LAGS_S[int(np.argmin(table[:, no_gain]))]
-    lag_starts = [np.array((lag_s + beside, *plain.sensor[1:])) for beside in BESIDE_S]
+    lag_starts = [np.array((lag_s + apart_s, *plain.sensor[1:])) for apart_s in LAGS_APART_S]
     gain_start = grid[no_lag * len(GAINS) + int(np.argmin(table[no_lag]))]
     lag = _least([plain, *(refine(some, start, (GAIN,)) for start in (*lag_starts, plain.sensor))])
     gain = _least([plain, *(refine(some, start, (LAG,)) for start in (gain_start, plain.sensor))])
