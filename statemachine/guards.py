@@ -57,8 +57,8 @@ class Thresholds(NamedTuple):
 
     The measures come from ``fes.estimation.foot.calibration`` (of a shank ``fes.estimation.shank.calibration``). The
     rate of a foot, of which many limits are shares, is the greater of push-off and half the fall: a weak push-off says
-    little. Of origin *data* is what all walkers of ``benchmarks/left_out.py`` chose, by which each of them is judged
-    with a value that was chosen without it.
+    little. Of origin *data* is what all walkers of ``benchmarks/left_out.py`` chose; for seven of them
+    (docs/accuracy.md) each walker is also judged with values that were chosen without it.
     """
 
     push_off_radps: float = 6.0
