@@ -20,7 +20,7 @@ All of them are loaded when they are first asked for; their types are in ``__ini
 
 from importlib import import_module
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "analyse",
     "bundled_file",
