@@ -76,6 +76,10 @@ class SensorCalibrations:
     swapped: bool = False
     serials: Mapping[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        failed = f"; not calibrated: {', '.join(self.missing)}" if self.missing else ""
+        return f"SensorCalibrations of {', '.join(self.calibrations) or 'no sensor'}{failed}"
+
 
 def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, incline: float = 0.0) -> SensorCalibrations:
     """Calibrate these of a recording's sensors; ``incline`` as of :func:`calibrate_track`.

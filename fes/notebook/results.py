@@ -106,6 +106,10 @@ class Log:
         write_report(self.record, Path(path))
         return Path(path)
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.strides)} strides, {len(self.phases)} phase changes, {len(self.commands)} commands"
+        return f"Log {self.source}: {counts}"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulated:
@@ -116,6 +120,9 @@ class Simulated:
     truth: Truth
     strides: Table
     log: Log | None
+
+    def __repr__(self) -> str:
+        return f"Simulated: {self.recording!r}; {len(self.strides)} strides; {self.log or 'no stimulation'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,6 +141,9 @@ class Agreement:
 
         write_page_file(render_page(self.evaluation), Path(path), "Choose another path.")
         return Path(path)
+
+    def __repr__(self) -> str:
+        return f"Agreement: {len(self.pairs)} pairs; .table has bias, limits of agreement and ICC"
 
 
 def gather(analyses: list[Analysis] | Callable[[], Iterator[Analysis]]) -> Result:

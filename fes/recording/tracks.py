@@ -95,6 +95,9 @@ class Track:
         """The same with these samples alone, as copies: the whole need not be kept for them."""
         return replace(self, **{name: getattr(self, name)[rows].copy() for name in PER_SAMPLE})
 
+    def __repr__(self) -> str:
+        return f"Track {self.sensor}: {len(self.t_ns)} samples, {self.duration_s:.1f} s at {self.rate_hz:g} Hz"
+
     @property
     def duration_s(self) -> float:
         """From the first to the last arrival."""
@@ -124,6 +127,12 @@ class Recording:
     geometry: dict[str, FootGeometry] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
     ground: Ground = field(default_factory=Ground)
+
+    def __repr__(self) -> str:
+        tracks = "; ".join(
+            f"{name} {each.duration_s:.1f} s at {each.rate_hz:g} Hz" for name, each in self.tracks.items()
+        )
+        return f"Recording {self.name}: {tracks or 'no sensor'}"
 
     def samples(self) -> Iterator[ImuSample]:
         """Yield all tracks' samples merged by arrival; on equal times sensors come in the order of SENSORS."""

@@ -169,6 +169,12 @@ class GaitParameters:
     # by foot, what its stride lengths were scaled by so that both feet go equally far
     common_scales: Mapping[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        feet = "; ".join(
+            f"{foot} {len(own)} strides, {int(own['steady'].sum())} steady" for foot, own in self.strides.items()
+        )
+        return f"GaitParameters: {feet or 'no stride'}; .summary and .table have the numbers"
+
     @property
     def table(self) -> Table:
         """A row a valid stride, by time."""
