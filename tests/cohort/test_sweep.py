@@ -149,7 +149,7 @@ def test_a_combination_changes_what_it_names_and_nothing_else(tmp_path: Path) ->
     assert session.stimulation.strides_before_start == 4
     back = session_with(
         session,
-        Point((("channels.tuning.gain", 0.6), ("stimulation.strides_before_start", 1), ("channels.fall_s", 0.1))),
+        Point((("channels.tuning.gain", 0.8), ("stimulation.strides_before_start", 1), ("channels.fall_s", 0.1))),
         SESSION,
     )
     assert back == base
