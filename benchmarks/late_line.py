@@ -69,7 +69,7 @@ def armed_again(late_s: float, *, proves: bool) -> Outcome:
     )
     track = walked.tracks[FOOT]
     origin_ns = int(track.t_sensor_ns[0])
-    timeline: list[tuple[int, int, object]] = []  # when, order, what
+    timeline: list[tuple[int, int, Event | CommandKind]] = []  # when, order, what
     clock = SensorClock()
     for stamp, acc, gyr in zip(track.t_sensor_ns.tolist(), track.acc_mps2, track.gyr_radps, strict=True):
         t_s = (stamp - origin_ns) / NS_PER_S
@@ -113,7 +113,7 @@ def armed_again(late_s: float, *, proves: bool) -> Outcome:
             what = replace(what, t_ns=t_ns)
         if isinstance(what, StimAlive):
             answered_ns = t_ns
-        handle(what)  # type: ignore[arg-type]
+        handle(what)
         if not proves:
             gate.doubted.clear()  # as before there was a test
     spans = [(begin, end) for (begin, is_on), (end, _) in pairwise(on) if is_on]

@@ -132,7 +132,7 @@ def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
                 faults.append(f"cannot be armed again: {error}")
         wrong_ms = bench.wrong_phase_ms(stretches, t_ns)
         return Attempt(off_ms, last_ms, named, tuple(faults), wrong_ms=wrong_ms)
-    raise CampaignBroken(f"no burst lasted until the fault was there, {TRIES} times")
+    raise CampaignBroken(f"no burst lasted until the fault was there, or no step came after it, {TRIES} times")
 
 
 def _lies_before_a_burst(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:

@@ -58,13 +58,6 @@ class SensorColumns(Settings):
     mounting: Mounting | None = None
     file: str | None = None  # of its own, beside the recording's
 
-    @model_validator(mode="before")
-    @classmethod
-    def _by_its_present_name(cls, given: object) -> object:
-        if isinstance(given, dict) and "gyr_range_degps" in given:
-            raise ValueError("gyr_range_degps is gyr_range_dps now, as in a session; write that name")
-        return given
-
     @model_validator(mode="after")
     def _given_once(self) -> Self:
         if self.file is not None and (not self.file or Path(self.file).name != self.file):

@@ -453,7 +453,7 @@ def test_a_line_that_cannot_be_heard_is_lost_too() -> None:
 
 
 @pytest.mark.requirement("SR-28")
-def test_another_sensor_that_answers_where_one_was_lost_stays_lost() -> None:
+def test_another_sensor_that_answers_where_one_was_lost_stays_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     imu = SocketImu()
     imu.serials = {FOOT: "0A"}
     line = SensorStream(imu, SameClock, Lost, frozenset({FOOT}))
@@ -469,7 +469,7 @@ def test_another_sensor_that_answers_where_one_was_lost_stays_lost() -> None:
     tried(0)
     assert line.port is None
     assert line.why_lost == "right_foot: sensor lost: another one answers (0B, it was 0A)"
-    imu.reopen = lambda: None  # type: ignore[method-assign]
+    monkeypatch.setattr(imu, "reopen", lambda: None)
     imu.serials = {FOOT: "0A"}
     tried(40_000 * MS)
     assert line.port is imu

@@ -15,7 +15,6 @@ CHARGE_SHARE: Final = 0.6  # of the usual charge: the rest of the pulses were re
 REMEMBERED: Final = 5
 SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
 BELOW_GROUND_M: Final = -0.015  # no toe is there
-OTHER_SPEED: Final = "the speed changed"
 JOLTED: Final = "cannot be true"
 NO_CHARGE: Final = "no stimulation was delivered in it"
 
@@ -87,7 +86,7 @@ class StrideFilter:
         if _other_speed(stride.speed_mps, usual_mps):
             if before_mps is None or _other_speed(stride.speed_mps, before_mps):
                 self._other_mps = stride.speed_mps
-                return f"{OTHER_SPEED} from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
+                return f"the speed changed from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
             self._speeds.clear()  # two in a row: this is the speed now
             self._speeds.append(stride.speed_mps)
         if charge_uc <= 0.0 or drive <= 0.0:
