@@ -82,7 +82,7 @@ def test_the_tail_follows_the_pitch_and_never_exceeds_the_front(method: str) -> 
     widths = tuned.parameters.widths_us
     assert widths[-1] < widths[0] == 300.0, "a pitch that is too much takes from the tail alone"
     for number in range(12, 30):
-        tuned.walk(stride(number, levelled(0.5), pitch_deg=-2.0))
+        tuned.walk(stride(number, levelled(0.7), pitch_deg=-2.0))  # a toe that high does not let the front follow
         assert max(tuned.parameters.widths_us) == tuned.parameters.widths_us[0]
 
 
