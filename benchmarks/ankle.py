@@ -10,11 +10,11 @@ Eq. (8) of Wu et al. The bar: mean 0.98–1.02 and no side off by more than 8 %.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, runs_of
 
@@ -168,14 +168,15 @@ def main(arguments: list[str] | None = None) -> int:
             f"prior: {r.reason}" if r.reason else "learnt",
         )
     console = console_of(150)
-    console.print(table)
+    total = []
     for name in ("zupt", "fixed", "learnt"):
         ratios_known = np.array([getattr(r, name) for r in results if not np.isnan(r.belt_mps)])
-        console.print(
-            f"{name:>6}: speed over belt, {len(ratios_known)} sides: mean {ratios_known.mean():.4f}, "
+        total.append(
+            f"{name}: speed over belt, {len(ratios_known)} sides: mean {ratios_known.mean():.4f}, "
             f"SD {ratios_known.std(ddof=1):.4f}, from {ratios_known.min():.4f} to {ratios_known.max():.4f}"
         )
-    save([asdict(r) for r in results], options.json)
+    console.print(table)
+    publish(console, [], options, total)
     return verdict(console, holds(results))
 
 

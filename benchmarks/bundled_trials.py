@@ -9,11 +9,11 @@ the truth): what an inertial sensor measures then is not the way on the belt.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from rich.table import Table
 
 from fes.calibration.recording import calibrate_track
@@ -141,9 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
         cells += [_cell(v, 1000.0, 0) for v in (e.initial_contact_s, e.foot_off_s)]
         table.add_row(e.trial, e.foot, str(e.strides), str(e.found), str(e.in_order), *cells)
     console = console_of(150)
-    console.print(table)
-    console.print("Errors are estimate − truth, mean ± SD.")
-    save([asdict(e) for e in results], options.json)
+    publish(console, [table], options, ["Errors are estimate − truth, mean ± SD."])
     return verdict(console, all(e.holds and e.found == e.strides for e in results))
 
 

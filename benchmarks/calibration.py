@@ -17,12 +17,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from backward import SETS, reversed_in_time
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from every_walker import feet_of
 from orientation_sets import broad
 from rich.table import Table
@@ -204,10 +204,6 @@ def main(arguments: list[str] | None = None) -> int:
         if len(sources) < PLANTED:
             sources.append((settings, track, in_room))
     console = console_of(170)
-    console.print(axis_table(feet))
-    for one in feet:
-        if one.refused or abs(one.error_deg) > NEAR_DEG:
-            console.print(f"{one.seed} {one.pattern} {one.speed_mps} m/s: {one.refused or f'{one.error_deg:+.1f}°'}")
     counts: dict[str, Counter[str]] = {}
     for name, word, track, source in planted(sources, options.data):
         counts.setdefault(name, Counter())[outcome(word, track, source)] += 1
@@ -215,8 +211,12 @@ def main(arguments: list[str] | None = None) -> int:
     for name, became in counts.items():
         said = "; ".join(f"{count} {words}" for words, count in became.most_common())
         table.add_row(name, str(became.total()), said)
-    console.print(table)
-    save({"feet": [asdict(one) for one in feet], "planted": {k: dict(v) for k, v in counts.items()}}, options.json)
+    off = [
+        f"{one.seed} {one.pattern} {one.speed_mps} m/s: {one.refused or f'{one.error_deg:+.1f}°'}"
+        for one in feet
+        if one.refused or abs(one.error_deg) > NEAR_DEG
+    ]
+    publish(console, [axis_table(feet), table], options, off)
     near = sum(abs(one.error_deg) <= NEAR_DEG for one in feet) >= SHARE_NEAR * len(feet)
     signs = not any(abs(one.error_deg) > 90.0 for one in feet)
     return verdict(console, near and signs and not any(one.refused for one in feet), several=True)

@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from bundled_trials import NAMES, TRIALS
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from real_sets import STRAIGHT_RAD, _two_header_lines, gaitmap_walk
 from rich.table import Table
 from scipy.signal import butter, filtfilt
@@ -232,13 +232,12 @@ def main(arguments: list[str] | None = None) -> int:
         cells = [f"{100.0 * mean:+.2f} ± {100.0 * sd:.2f}" for mean, sd in (row.toe_m, row.heel_m)]
         kept = "yes" if row.holds else "no"
         table.add_row(row.data, row.geometry, "yes" if row.anchored else "no", str(row.strides), *cells, kept)
-    console = console_of(120)
-    console.print(table)
+    arms_told = []
     for side, strides in marked_strides(data_folder()).items():
         for name, arms in arms_by_geometry(strides).items():
             toe, heel = (" ".join(f"{100.0 * part:+.1f}" for part in arm) for arm in (arms.toe_m, arms.heel_m))
-            console.print(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
-    save([asdict(row) for row in rows], options.json)
+            arms_told.append(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
+    publish(console_of(120), [table], options, arms_told, folder=data_folder())
     if not marked_strides(data_folder()):
         print(f"No gaitmap_walk in {data_folder()}; set FES_DATA.", file=sys.stderr)
         return 3

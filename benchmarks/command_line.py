@@ -1,14 +1,20 @@
-"""What the benchmarks' command lines have in common: options, the console, results as JSON, the last word."""
+"""What the benchmarks' command lines have in common: options, the console, the tables for a page, the last word."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from figures import Figures, Result, digest
 from rich.console import Console
+from rich.table import Table
+
+# Options that change where or how fast, not what is measured.
+ASIDE = ("--json", "--raw", "--data", "--jobs", "--peers")
 
 
 def parser_of(text: str | None, data: Path | None = None) -> argparse.ArgumentParser:
@@ -23,6 +29,47 @@ def parser_of(text: str | None, data: Path | None = None) -> argparse.ArgumentPa
 def console_of(columns: int) -> Console:
     """As wide as the terminal; where there is none, wide enough for the tables."""
     return Console() if sys.stdout.isatty() else Console(width=columns)
+
+
+def publish(
+    console: Console,
+    tables: Sequence[Table],
+    options: argparse.Namespace,
+    notes: Sequence[str] = (),
+    folder: Path | None = None,
+) -> None:
+    """Print tables and lines; with ``--json`` keep them for a page of ``docs/`` (:mod:`figures`).
+
+    ``folder`` is where the recordings are, of whom ``--data`` does not ask.
+    """
+    for table in tables:
+        console.print(table)
+    for line in notes:
+        console.print(line, markup=False)
+    if options.json is None:
+        return
+    folder = getattr(options, "data", folder)
+    data = {}
+    if folder is not None and folder.is_dir():
+        data["data folder"] = digest(path for path in folder.rglob("*") if path.suffix in (".npz", ".mat", ".csv"))
+    Result(_command(sys.argv), [_figures(table) for table in tables], data, notes=list(notes)).keep(options.json)
+
+
+def _figures(table: Table) -> Figures:
+    rows = zip(*([str(cell) for cell in column.cells] for column in table.columns), strict=True)
+    return Figures(
+        str(table.title or ""), [str(column.header) for column in table.columns], [list(row) for row in rows]
+    )
+
+
+def _command(typed: Sequence[str]) -> str:
+    words, kept = iter(typed[1:]), []
+    for word in words:
+        if word in ASIDE:
+            next(words, None)
+        elif not word.startswith(tuple(f"{name}=" for name in ASIDE)):
+            kept.append(word)
+    return " ".join(["python", f"benchmarks/{Path(typed[0]).name}", *kept])
 
 
 def save(results: Any, path: Path | None) -> None:

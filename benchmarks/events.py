@@ -17,12 +17,11 @@ and the exit code is 3.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from event_cases import Case, bundled_cases, data_folder, gaitmap_cases, stroke_tracks
-from rich.console import Console
 from rich.table import Table
 
 from fes.calibration.recording import calibrate_track
@@ -192,19 +191,15 @@ def main(arguments: list[str] | None = None) -> int:
     if there:
         known = [_as_truth(run, track) for run, track, _ in tracks]
         scores += [s for method in list(METHODS)[1:] for s in score("stroke, against off-line", known, method)]
-    _print(console, scores)
     angles = strike_angles(tracks)
-    save({"events": [asdict(s) for s in scores], "strike": angles}, options.json)
     if not there:
+        publish(console, [_table(scores)], options)
         console.print(f"No gaitmap_walk and stroke_treadmill in {options.data}; set FES_DATA or --data.")
         return 3
     correlation, offset, sd = strike_score(angles)
-    console.print(
-        "foot-strike angle, deg (Vicon, ours): " + ", ".join(f"{k} {v[0]:.1f} {v[1]:.1f}" for k, v in angles.items())
-    )
-    console.print(
-        f"foot-strike angle against Vicon: correlation {correlation:.3f}, offset {offset:+.1f}°, SD {sd:.2f}°"
-    )
+    each = ", ".join(f"{k} {v[0]:.1f} {v[1]:.1f}" for k, v in angles.items())
+    strike = f"Foot-strike angle against Vicon: correlation {correlation:.3f}, offset {offset:+.1f}°, SD {sd:.2f}°."
+    publish(console, [_table(scores)], options, [f"Foot-strike angle, deg (Vicon, ours): {each}.", strike])
     judged = [s for s in scores if s.data == "gaitmap_walk" and s.method in ("off-line", "causal, instants")]
     held = all(holds(s) for s in judged) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1]
     return verdict(console, held, several=True)
@@ -215,7 +210,7 @@ def _as_truth(run: str, track: Track) -> Case:
     return Case(run, track, seconds(track, events.ic_ns.tolist()), seconds(track, events.fo_ns.tolist()))
 
 
-def _print(console: Console, scores: list[Score]) -> None:
+def _table(scores: list[Score]) -> Table:
     table = Table(
         "data",
         "method",
@@ -234,7 +229,7 @@ def _print(console: Console, scores: list[Score]) -> None:
         counts = [str(x) for x in (s.true, s.found, s.extra, s.confirmed)]
         spans = [f"{x:+.0f}" for x in (s.median_ms, s.p95_ms, s.least_ms, s.most_ms)]
         table.add_row(s.data, s.method, s.event, *counts, f"{s.mean_ms:+.1f} ± {s.sd_ms:.1f}", *spans)
-    console.print(table)
+    return table
 
 
 if __name__ == "__main__":

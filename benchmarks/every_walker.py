@@ -1,6 +1,6 @@
 """Phases, strides and events of every walker there is, by one default setting, against a judge of its own.
 
-    python benchmarks/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER] [--json FILE]
+    python benchmarks/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER] [--json FILE] [--raw FILE]
 
 All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``fes/analysis/swings.py``,
 from the raw signals; on footswitch_treadmill by the labels, and a swing that these lack and the raw signals show may
@@ -14,7 +14,7 @@ events of ``fes analyse`` per swing; foot-strike angle against Vicon's mean; and
 the same when the sensor is calibrated on 20 s elsewhere (three places). Footswitches: how much later than the label
 each of T1–T4 is, how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), and how
 much of its loading lies in the machine's stance or pre-swing (left without stimulation), where neither spike nor stall
-nor burst is near. A refused foot has no stride in order, in every table. ``--json`` keeps everything, so that two
+nor burst is near. A refused foot has no stride in order, in every table. ``--raw`` keeps everything, so that two
 versions can be compared.
 """
 
@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 from ankle import load_shanks
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish, save
 from event_cases import gaitmap_cases
 from real_sets import PathWalk, Walk, gaitmap_walk, marker_strides, pyshoe_vicon, ruler_walks
 from rich.table import Table
@@ -462,35 +462,25 @@ def delays_table(found: list[Found]) -> Table:
     for one in found:
         if one.data_set in ("footswitch_treadmill", "gaitmap_walk"):
             people[one.person].append(one)
-    medians: dict[str, dict[str, list[float]]] = {"H": defaultdict(list), "P": defaultdict(list)}
     for person, trials in people.items():
-        trials = [t for t in trials if t.run not in DRIFTING]
-        cells = []
-        for each in TIMES:
-            values = [ms for t in trials for ms in t.later_ms.get(each.name, [])]
-            cells.append(f"{np.median(values):+.0f} ± {np.std(values):.0f}" if len(values) > 4 else "–")
-            judged = person not in LYING and not (person in SHORT_FLAT and each is Transition.T4)
-            if len(values) > 4 and judged and person[0] in medians:
-                medians[person[0]][each.name].append(float(np.median(values)))
-        spread = [value for kind in COSTS for value in middle_and_most(trials, kind)]
-        table.add_row(person, percent(sum(t.in_order for t in trials), sum(t.strides for t in trials)), *cells, *spread)
-    if medians["H"] and medians["P"]:
-        off = [
-            f"{np.median(medians['P'][each.name]) - np.median(medians['H'][each.name]):+.0f}"
-            if medians["P"][each.name] and medians["H"][each.name]
-            else "–"
-            for each in TIMES
-        ]
-        sound = [t for t in found if t.data_set == "footswitch_treadmill"]
-        sound = [t for t in sound if t.person not in LYING and t.run not in DRIFTING]
-        groups = [[t for t in sound if t.person.startswith(group)] for group in ("H", "P")]
-        words = [
-            f"{h} healthy, {p} hemiparetic"
-            for kind in COSTS
-            for h, p in zip(*(middle_and_most(group, kind) for group in groups), strict=True)
-        ]
-        table.add_row("hemiparetic − healthy", "", *off, *words)
+        table.add_row(*delay_cells(person, [t for t in trials if t.run not in DRIFTING]))
+    sound = [t for t in found if t.data_set == "footswitch_treadmill"]
+    sound = [t for t in sound if t.person not in LYING and t.run not in DRIFTING]
+    for name in ("healthy", "hemiparetic"):
+        own = [t for t in sound if t.person.startswith("H") is (name == "healthy")]
+        if own:
+            table.add_row(*delay_cells(f"{name}, every stride", own))
     return table
+
+
+def delay_cells(name: str, trials: list[Found]) -> list[str]:
+    """A row of the delays: some trials together, without what the set itself disputes."""
+    cells = [name, percent(sum(t.in_order for t in trials), sum(t.strides for t in trials))]
+    for each in TIMES:
+        judged = [t for t in trials if t.person not in SHORT_FLAT or each is not Transition.T4]
+        values = [ms for t in judged for ms in t.later_ms.get(each.name, [])]
+        cells.append(f"{np.median(values):+.0f} ± {np.std(values):.0f}" if len(values) > 4 else "–")
+    return [*cells, *(value for kind in COSTS for value in middle_and_most(trials, kind))]
 
 
 def middle_and_most(trials: Iterable[Found], kind: str) -> tuple[str, str]:
@@ -543,6 +533,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--persons", nargs="+", help="these walkers alone, as the tables name them")
     parser.add_argument("--part", choices=("known", "unseen"), help="these walkers alone")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    parser.add_argument("--raw", type=Path, help="everything about every foot, as JSON")
     options = parser.parse_args(arguments)
     feet = (f for f in feet_of(options.data, options.only) if not options.persons or f.person in options.persons)
     feet = (f for f in feet if not options.part or f.part.startswith(options.part))
@@ -555,12 +546,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
         return 3
     console, groups = console_of(190), groups_of(found)
-    console.print(phases_table(groups))
-    console.print(lengths_table(groups))
-    console.print(delays_table(found))
-    for line in (*strike_lines(found), *low_lines(found)):
-        console.print(line, markup=False)
-    save([asdict(f) | {"share": f.share} for f in found], options.json)
+    tables = [phases_table(groups), lengths_table(groups), delays_table(found)]
+    publish(console, tables, options, [*strike_lines(found), *low_lines(found)])
+    save([asdict(f) | {"share": f.share} for f in found], options.raw)
     return 0
 
 

@@ -16,14 +16,14 @@ from __future__ import annotations
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from math import radians
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import numpy as np
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from event_cases import gaitmap_cases
 from every_walker import calibrate, causal
 from rich.table import Table
@@ -333,15 +333,15 @@ def main(arguments: list[str] | None = None) -> int:
             if options.each:
                 each = ", ".join(f"{o.kind} {len(o.contact_ms)}+{len(o.off_ms)}/{o.steps}" for o in ones if o.steps)
                 console.print(f"{foot.group}, {foot.name}: {each}; false {wrong['T2']}, {wrong['T3']}", markup=False)
-    console.print(table_of(found, false))
+    lines = []
     if options.why:
         reasons: defaultdict[tuple[str, str], Counter[str]] = defaultdict(Counter)
         for one in found:
             reasons[one.group, one.kind].update(one.why)
         for (group, kind), count in reasons.items():
             if count:
-                console.print(f"{group}, {kind}: " + "; ".join(f"{n} {why}" for why, n in count.most_common()))
-    save({"found": [asdict(one) for one in found], "false": {str(k): dict(v) for k, v in false.items()}}, options.json)
+                lines.append(f"{group}, {kind}: " + "; ".join(f"{n} {why}" for why, n in count.most_common()))
+    publish(console, [table_of(found, false)], options, lines)
     return 0
 
 

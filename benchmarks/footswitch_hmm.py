@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from every_walker import TIMES, Foot, Found, against_labels, calibrate, causal, footswitch_treadmill, swings_of
 from rich.table import Table
 from stroke_treadmill import data_folder
@@ -112,16 +112,13 @@ def main(arguments: list[str] | None = None) -> int:
             found.strides = len(found.flat_ms)
             rows[foot.person, method].append((found, goodness(foot.labels, changes, t_ns)))
     table = Table("walker", "method", "in order %", *(f"{each.name} ms" for each in TIMES), "goodness")
-    told = []
     for (person, method), trials in sorted(rows.items()):
         order = 100.0 * sum(f.in_order for f, _ in trials) / max(sum(f.strides for f, _ in trials), 1)
         later = {each.name: [ms for f, _ in trials for ms in f.later_ms.get(each.name, [])] for each in TIMES}
         cells = [f"{np.median(ms):+.0f} ± {np.std(ms):.0f}" if len(ms) > 4 else "–" for ms in later.values()]
         index = float(np.mean([g for _, g in trials]))
         table.add_row(person, method, f"{order:.1f}", *cells, f"{index:.3f}")
-        told.append({"walker": person, "method": method, "in_order": order, "later_ms": later, "goodness": index})
-    console_of(130).print(table)
-    save(told, options.json)
+    publish(console_of(130), [table], options)
     return 0
 
 

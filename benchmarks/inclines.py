@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from every_walker import SETS, feet_of
 from hemiparetic_walks import stairs
 from rich.table import Table
@@ -162,8 +162,7 @@ def rises(data: Path) -> Iterator[Rises]:
 def main(arguments: list[str] | None = None) -> int:
     """Print both tables."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
-    console = console_of(150)
-    table = Table("walker", "incline %", "way", "strides", "toe cm", "heel cm", "length cm")
+    clearance = Table("walker", "incline %", "way", "strides", "toe cm", "heel cm", "length cm")
     every = [each for walker in WALKERS for each in clearances(walker)]
     for walker, incline, way in product(WALKERS, INCLINES_PERCENT, WAYS):
         own = [each for each in every if (each.walker, each.incline_percent, each.way) == (walker, incline, way)]
@@ -173,8 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
             cells.append(
                 f"{np.nanmean(values):+.2f} ± {np.nanstd(values):.2f}" if np.isfinite(values).any() else "none"
             )
-        table.add_row(walker, f"{incline:+.0f}", way, str(sum(len(each.toe_cm) for each in own)), *cells)
-    console.print(table)
+        clearance.add_row(walker, f"{incline:+.0f}", way, str(sum(len(each.toe_cm) for each in own)), *cells)
     found = list(rises(options.data))
     table = Table("data", "strides", "rise, median cm", "SD cm", "left out")
     for rise in found:
@@ -183,8 +181,7 @@ def main(arguments: list[str] | None = None) -> int:
         table.add_row(
             rise.data_set, str(len(values)), f"{100 * np.median(values):+.1f}", f"{100 * sd:.1f}", f"{rise.left_out}"
         )
-    console.print(table)
-    save({"clearance": [asdict(each) for each in every], "rise": [asdict(each) for each in found]}, options.json)
+    publish(console_of(150), [clearance, table], options)
     return 0
 
 

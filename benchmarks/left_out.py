@@ -1,6 +1,7 @@
 """The phases' figures with the judged walker left out of whatever chose the constants.
 
     python benchmarks/left_out.py [--only SET …] [--constants NAME …] [--jobs N] [--data FOLDER] [--json FILE]
+        [--raw FILE]
 
 Constants of guards and calibration that were chosen by data (``CHOICES``) are chosen again for each walker, by all the
 other walkers of all sets together: the value with the least ``cost``, one constant at a time about the program's own
@@ -26,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish, save
 from event_cases import NAMES, TRIALS
 from every_walker import (
     DRIFTING,
@@ -232,6 +233,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", choices=sets, default=sets, help="these sets alone")
     parser.add_argument("--constants", nargs="+", choices=CHOICES, default=list(CHOICES), help="choose these alone")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    parser.add_argument("--raw", type=Path, help="every foot by either choice, as JSON")
     options = parser.parse_args(arguments)
     feet = list(all_feet(options.data, options.only))
     if all(foot.data_set == "bundled" for foot in feet):
@@ -271,16 +273,17 @@ def main(arguments: list[str] | None = None) -> int:
         strides = sum(foot.strides for out, _ in group for foot in out)
         table.add_row(name, size, str(strides), "left out", *_cells([out for out, _ in group]))
         table.add_row("", "", "", "in sample", *_cells([inside for _, inside in group]), end_section=True)
+    choices = []
     console = console_of(170)
-    console.print(table)
     for name in options.constants:
         counts = Counter(dict(values)[name] for values in folds.values())
         tried = [(v, list(costs[_values(OWN | {name: v})].values())) for v in CHOICES[name]]
-        console.print(
+        choices.append(
             f"{name}: own {OWN[name]:g}; chosen " + ", ".join(f"{v:g} ({n})" for v, n in counts.most_common())
             + "; cost of all walkers " + ", ".join(f"{v:g}: {np.mean(cost):.1f}" for v, cost in tried)
         )  # fmt: skip
-    save(rows, options.json)
+    publish(console, [table], options, choices)
+    save(rows, options.raw)
     return 0
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from bundled_trials import TRIALS
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from every_walker import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
 from real_sets import PathWalk, marker_strides
 from rich.table import Table
@@ -136,7 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
     table = Table("trial", *titles, title="later than the truth, ms, median [5–95 %]")
     for trial, cells in against.items():
         table.add_row(trial, *cells)
-    console_of(190).print(table)
+    tables = [table]
     later = measured(options.data)
     if not later:
         print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
@@ -144,7 +144,6 @@ def main(arguments: list[str] | None = None) -> int:
     rules = (("foot flat", FLAT_DEG, FLAT_RAD, "T4"), ("heel rise", RISE_DEG, RISE_RAD, "T1"))
     columns = [word for rule, _, _, live in rules for word in (f"{rule} ms", "left out ms", f"live {live} ms")]
     table = Table("walker", *columns, title="later than the label, median ± SD")
-    rows = {trial: dict(zip(titles, cells, strict=True)) for trial, cells in against.items()}
     for person, own in sorted(later.items()):
         cells = []
         for rule, sizes, in_use, live in rules:
@@ -153,9 +152,7 @@ def main(arguments: list[str] | None = None) -> int:
                 cells.append(f"{np.median(own[key]):+.0f} ± {np.std(own[key]):.0f}" if own[key] else "–")
             cells[-2] += f" ({other_deg:.0f}°)"
         table.add_row(person, *cells)
-        rows[person] = dict(zip(columns, cells, strict=True))
-    console_of(150).print(table)
-    save(rows, options.json)
+    publish(console_of(190), [*tables, table], options)
     return 0
 
 

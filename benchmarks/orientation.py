@@ -11,17 +11,16 @@ are installed. Without recordings this says so and exits with 3; 1: a bar is mis
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import sys
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from command_line import console_of, parser_of, publish
 from orientation_methods import METHODS, Method
 from orientation_sets import Trial, broad, gaitmap_pitch, later, stroke_stance, upward
-from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder
 
@@ -30,7 +29,7 @@ from fes.estimation.orientation.filter import BodySettings
 
 BAR_DEG = 0.7  # causal and off-line, mean over BROAD's trials
 SHIFTS_S = np.arange(0.0, 0.0081, 0.0005)
-MOST_COLUMNS = 4  # of single trials; more are in the JSON only
+MOST_COLUMNS = 4  # of single trials; more would not fit
 FACTORS = (0.5, 1.0, 2.0)
 CHOSEN = ("rate_scale_noise", "movement_s", "energy_s")
 
@@ -103,7 +102,7 @@ def _causal_score(trial: Trial, settings: BodySettings) -> float:
     return trial.score(upward(path.quaternion))
 
 
-def show(console: Console, rows: list[OrientationRow]) -> None:
+def tables_of(rows: list[OrientationRow]) -> Iterator[Table]:
     """One table per set."""
     for data_set in dict.fromkeys(row.data_set for row in rows):
         part = [row for row in rows if row.data_set == data_set]
@@ -116,29 +115,26 @@ def show(console: Console, rows: list[OrientationRow]) -> None:
             values = [row.mean_deg, row.worst_deg, row.timed_deg, *(row.trials.get(name, np.nan) for name in names)]
             cells = [f"{value:.2f}" for value in values] if row.installed else ["not installed"]
             table.add_row(row.method, "yes" if row.causal else "no", *cells)
-        console.print(table)
+        yield table
 
 
 def main() -> int:
     """Print the tables; 0 if the bars hold, 1 if one is missed, 3 without recordings."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, default=None, help="folder of the recordings")
-    parser.add_argument("--json", type=Path, default=None, help="write the rows here, too")
+    parser = parser_of(__doc__, data_folder())
     parser.add_argument("--choice", action="store_true", help="choose the constants again, each recording left out")
     arguments = parser.parse_args()
-    folder = arguments.data or data_folder()
-    console = Console(width=150)
+    folder = arguments.data
+    console = console_of(150)
     rows = orientation_rows(folder)
     if not rows:
         console.print(f"no broad, gaitmap_walk or stroke_treadmill in {folder}: set FES_DATA or give --data")
         return 3
-    show(console, rows)
+    lines = []
     if arguments.choice:
         for name, values, chosen, default in choice(folder):
             text = ", ".join(f"{key} {value:g}" for key, value in values.items())
-            console.print(f"left out {name}: {text} → {chosen:.3f}°, default {default:.3f}°")
-    if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+            lines.append(f"left out {name}: {text} → {chosen:.3f}°, default {default:.3f}°")
+    publish(console, list(tables_of(rows)), arguments, lines)
     ours = [row for row in rows if row.data_set == "broad" and row.method.startswith("ours")]
     missed = [row for row in ours if not row.mean_deg <= BAR_DEG]
     for row in missed:

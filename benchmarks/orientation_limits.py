@@ -1,6 +1,6 @@
 """The orientation filter where it is hardest, or knows more: a clipped gyroscope, its own confidence, a known stance.
 
-    python benchmarks/orientation_limits.py [--data FOLDER]
+    python benchmarks/orientation_limits.py [--data FOLDER] [--json FILE]
 
 Clipped: the fast board's rates cut at 1000 °/s, with the range told to the filter and without. Confidence: the filter's
 own standard deviation of the inclination about one axis, beside the error about one axis. Stance: the shoes of
@@ -9,14 +9,12 @@ gaitmap_walk, rest told by the zero-velocity detector.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
+from command_line import console_of, parser_of, publish
 from orientation_sets import Trial, broad, gaitmap_pitch, upward
-from rich.console import Console
 from stroke_treadmill import data_folder
 
 from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
@@ -36,10 +34,9 @@ def clipped_deg(trial: Trial, follow: Callable[..., OrientationPath], *, told: b
 
 def main() -> int:
     """Print the figures; 3 without recordings."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder of the recordings")
-    folder = parser.parse_args().data
-    console = Console(width=150)
+    options = parser_of(__doc__, data_folder()).parse_args()
+    folder, lines = options.data, []
+    console = console_of(150)
     trials, feet = broad(folder), gaitmap_pitch(folder)
     if not trials or not feet:
         console.print(f"no broad or gaitmap_walk in {folder}: set FES_DATA or give --data")
@@ -47,7 +44,7 @@ def main() -> int:
     fast = trials[0]
     share = np.mean((np.abs(fast.gyr_radps) >= math.radians(RANGE_DPS)).any(axis=1))
     for name, follow in FILTERS.items():
-        console.print(
+        lines.append(
             f"{fast.name}, gyroscope clipped at {RANGE_DPS:g} °/s in {100 * share:.1f} % of the samples, {name}: "
             f"{clipped_deg(fast, follow, told=True):.2f}° with the range known, "
             f"{clipped_deg(fast, follow, told=False):.2f}° without"
@@ -56,7 +53,7 @@ def main() -> int:
         path = track_orientation(trial.acc_mps2, trial.gyr_radps, trial.rate_hz)
         sd = math.degrees(float(np.sqrt(np.mean(path.tilt_sd_rad**2))))
         error = trial.score(upward(path.quaternion)) / math.sqrt(2.0)
-        console.print(f"{trial.name}, causal: own SD {sd:.2f}°, error about one axis {error:.2f}°")
+        lines.append(f"{trial.name}, causal: own SD {sd:.2f}°, error about one axis {error:.2f}°")
     for name, follow in FILTERS.items():
         errors = {}
         for foot in feet:
@@ -64,7 +61,8 @@ def main() -> int:
             path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, zero_velocity=still)
             errors[foot.name] = foot.score(upward(path.quaternion))
         each = ", ".join(f"{foot} {error:.2f}°" for foot, error in errors.items())
-        console.print(f"shoe, stance known, {name}: {np.mean(list(errors.values())):.2f}° ({each})")
+        lines.append(f"shoe, stance known, {name}: {np.mean(list(errors.values())):.2f}° ({each})")
+    publish(console, [], options, lines)
     return 0
 
 

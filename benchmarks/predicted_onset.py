@@ -1,6 +1,6 @@
 """Bursts that begin when the heel is expected to rise, against those that begin when it is seen to.
 
-    python benchmarks/predicted_onset.py [--only SET …] [--data FOLDER] [--json FILE] [--write docs/phases.md]
+    python benchmarks/predicted_onset.py [--only SET …] [--data FOLDER] [--json FILE]
 
 Every foot goes twice through controller and gate, as in a session that is armed again at once after a fault: with
 ``onset = "detected"`` and ``"predicted"``. Of each set:
@@ -25,13 +25,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
 from coarse_check import LIMITS
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from every_walker import DRIFTING, LYING, calibrate, feet_of
 from real_sets import PathWalk, marker_strides
 from rich.table import Table
@@ -61,7 +61,6 @@ LEADS_MS = (20, 30, 40, 50, 60, 80)
 MOST_FALSE = 0.01
 NEAR_NS = 400_000_000
 MS = 1e-6
-BEGIN, END = "<!-- begin: written by `python benchmarks/predicted_onset.py --write docs/phases.md` -->", "<!-- end -->"
 
 
 @dataclass
@@ -284,21 +283,10 @@ TITLES = (
 )  # fmt: skip
 
 
-def write(path: Path, found: list[list[str]], by_lead: str) -> None:
-    """Into a page, between its marks."""
-    lines = ["| " + " | ".join(TITLES) + " |", "|" + "---|" * len(TITLES)]
-    lines += ["| " + " | ".join(cells).replace("-", "−") + " |" for cells in found]
-    text = path.read_text(encoding="utf-8")
-    before, rest = text.split(BEGIN)
-    after = rest.split(END, 1)[1]
-    path.write_text(before + "\n\n".join([BEGIN, "\n".join(lines), by_lead, END]) + after, encoding="utf-8")
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; 1 if there are too many false starts."""
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--only", nargs="*", default=list(SETS), choices=SETS)
-    parser.add_argument("--write", type=Path)
     options = parser.parse_args(arguments)
     groups: dict[str, Figures] = {}
     counts: dict[tuple[str, str], dict[int, tuple[int, int]]] = {}
@@ -317,7 +305,6 @@ def main(arguments: list[str] | None = None) -> int:
     for cells in found:
         table.add_row(*cells)
     console = console_of(220)
-    console.print(table)
     leads = {key: chosen(counts, key[1]) for key in counts}
     total = [sum(by_lead[leads[key]][which] for key, by_lead in counts.items()) for which in (0, 1)]
     every = [
@@ -329,10 +316,7 @@ def main(arguments: list[str] | None = None) -> int:
         f"False starts of all sets by lead: {'; '.join(every)}. Chosen for each person by all others: {picks}; with "
         f"that {total[1]} of {total[0]} starts were false."
     )
-    console.print(by_lead)
-    save({"sets": {name: asdict(figures) for name, figures in groups.items()}, "leads": by_lead}, options.json)
-    if options.write:
-        write(options.write, found, by_lead)
+    publish(console, [table], options, [by_lead])
     held = all(f.false <= MOST_FALSE * max(len(f.before), 100) for f in groups.values())
     return verdict(console, held)
 

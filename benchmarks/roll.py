@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from closed_loop_walk import calibration_of, walk
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from real_sets import PathWalk, gaitmap_walk
 from rich.table import Table
 from stroke_treadmill import data_folder, track_foot
@@ -142,9 +142,8 @@ def main(arguments: list[str] | None = None) -> int:
         means = " ".join(f"{value:+.1f}" for value in row.patients_deg.values())
         true = f"{row.true_deg[0]:+.1f} ± {row.true_deg[1]:.1f}"
         table.add_row(row.condition, str(row.strides), f"{row.bias_deg:+.2f} ± {row.sd_deg:.2f}", true, means)
-    console.print(table)
-    console.print("estimate − truth at initial contact, inversion positive, mean ± SD over strides")
-    save([vars(row) for row in rows], options.json)
+    said = "Estimate − truth at initial contact, inversion positive, mean ± SD over strides."
+    publish(console, [table], options, [said])
     held = all(abs(row.bias_deg) <= BIAS_DEG and row.sd_deg <= SD_DEG for row in virtual)
     return verdict(console, held, several=True)
 

@@ -17,12 +17,12 @@ import csv
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from every_walker import TIMES, Foot, calibrate, causal, stroke_walks
 from rich.table import Table
 from stroke_treadmill import data_folder
@@ -205,7 +205,6 @@ def main(arguments: list[str] | None = None) -> int:
         title=f"later than the mark, median [5 %, 95 %], and share within ±{CLOSE_MS:.0f} ms",
     )  # fmt: skip
     marked = list(marks_of(RATERS[0]))
-    raters: list[Agreement] = []
     for name in dict.fromkeys(result.foot for result in results):
         own = [result for result in results if result.foot == name]
         for result in own:
@@ -214,10 +213,7 @@ def main(arguments: list[str] | None = None) -> int:
         feet = [foot for foot in marked if name_of(*foot) == name] or [foot for foot in marked if foot != DRAGGED]
         apart = between_raters(feet, name)
         table.add_row("", "b − a", str(apart[0].marks), "", *(x.text for x in apart), end_section=True)
-        raters += apart
-    console_of(170).print(table)
-    judged = [asdict(r) | {"within": {x.instant: x.within for x in r.instants}} for r in results]
-    save({"tracker": judged, "raters": [asdict(x) | {"within": x.within} for x in raters]}, options.json)
+    publish(console_of(170), [table], options)
     return 0
 
 

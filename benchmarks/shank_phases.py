@@ -12,13 +12,13 @@ swings per 100 strides, and no side told wrongly that was told as sure.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from ankle import calibrate, load_shanks
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import IN_ORDER, LAST_S, data_folder, load_run, mid_swings, runs_of, track_foot, track_of
@@ -187,14 +187,12 @@ def main(arguments: list[str] | None = None) -> int:
     results = [result for path in paths for result in evaluate(path)]
     told = tell_all(options.data)
     console = console_of(150)
-    show_phases(results, console)
-    show_sides(told, console)
-    save({"phases": [asdict(r) for r in results], "sides": [asdict(t) for t in told]}, options.json)
+    publish(console, [], options, [*show_phases(results, console), *show_sides(told, console)])
     return verdict(console, holds(results, told), several=True)
 
 
-def show_phases(results: list[SideResult], console: Console) -> None:
-    """The table of phases, and what it comes to."""
+def show_phases(results: list[SideResult], console: Console) -> list[str]:
+    """Print the table of phases; what it comes to."""
     names = ("heel off", "foot off", "contact", "foot flat")
     table = Table("run", "side", "in order", "false", *(f"{n} ms" for n in names), "speed / belt", "valid")
     for r in results:
@@ -206,37 +204,38 @@ def show_phases(results: list[SideResult], console: Console) -> None:
     console.print(table)
     strides = sum(r.strides for r in results)
     worst = min(results, key=lambda r: r.in_order / r.strides)
-    console.print(
+    told = [
         f"Four phases in order: {sum(r.in_order for r in results)} of {strides} "
         f"({100 * sum(r.in_order for r in results) / strides:.2f} %), worst {worst.run} {worst.sensor} "
         f"{100 * worst.in_order / worst.strides:.1f} %; false swings per 100 strides: "
         f"{100 * sum(r.false_swings for r in results) / strides:.3f}"
-    )
+    ]
     later_all = np.array([r.later_ms for r in results])
     for name, column in zip(names, later_all.T, strict=True):
-        console.print(
+        told.append(
             f"{name}: later than the foot's by {np.median(column):+.0f} ms (median of sides, "
             f"{column.min():+.0f} to {column.max():+.0f})"
         )
     ratios = np.array([r.speed_ratio for r in results if not np.isnan(r.speed_ratio)])
-    console.print(
+    told.append(
         f"Causal speed over belt, {len(ratios)} sides: mean {ratios.mean():.4f}, SD {ratios.std(ddof=1):.4f}, "
         f"from {ratios.min():.4f} to {ratios.max():.4f}"
     )
+    return told
 
 
-def show_sides(told: list[Told], console: Console) -> None:
-    """Left from right."""
+def show_sides(told: list[Told], console: Console) -> list[str]:
+    """Print left from right; what it comes to."""
     table = Table("subject", "recording", "told rightly", "sure", "score", "agree", "held out: rightly", "sure")
     for t in told:
         flags = ["yes" if flag else "NO" for flag in (t.right, t.sure, t.held_out_right, t.held_out_sure)]
         table.add_row(t.subject, t.recording, *flags[:2], f"{t.score:.2f}", f"{t.agreeing}/4", *flags[2:])
     console.print(table)
-    console.print(
+    return [
         f"Left from right: {sum(t.right for t in told)} of {len(told)} rightly, {sum(t.sure for t in told)} sure; held "
         f"out by subject {sum(t.held_out_right for t in told)} rightly, {sum(t.held_out_sure for t in told)} sure "
         f"({len({t.subject for t in told})} subjects)"
-    )
+    ]
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from command_line import console_of, parser_of, save
+from command_line import console_of, parser_of, publish
 from given_borders import quietest_near, solve_stride
 from lift import arm_fitted, clearance_errors
 from real_sets import PathWalk, all_walks, gaitmap_walk, stroke_feet
@@ -186,8 +186,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"{row[key]:+.2f}" if key == "bias" else f"{row[key]:.2f}" for key in ("bias", "SD", "RMSE", "worst")
         ]
         table.add_row(str(row["data"]), str(row["method"]), str(row["n"]), *numbers, str(row["unit"]))
-    console_of(120).print(table)
-    save(figures, options.json)
+    publish(console_of(120), [table], options, folder=data_folder())
     return 0
 
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from command_line import console_of, parser_of, save, verdict
+from command_line import console_of, parser_of, publish, verdict
 from rich.table import Table
 from scipy.signal import butter, filtfilt, find_peaks
 
@@ -163,21 +163,19 @@ def main(arguments: list[str] | None = None) -> int:
             f"{r.push_off_radps:.2f}",
         )
     console = console_of(120)
-    console.print(table)
     ratios = np.array([r.speed_ratio for r in results if not np.isnan(r.speed_ratio)])
     strides, in_order = sum(r.strides for r in results), sum(r.in_order for r in results)
     worst = min(results, key=lambda r: r.in_order / r.strides)
     share = in_order / strides
-    console.print(
+    total = [
         f"Speed over belt, {len(ratios)} feet: mean {ratios.mean():.4f}, SD {ratios.std(ddof=1):.4f}, "
-        f"from {ratios.min():.4f} to {ratios.max():.4f}"
-    )
-    console.print(
+        f"from {ratios.min():.4f} to {ratios.max():.4f}",
         f"Four phases in order: {in_order} of {strides} ({100 * share:.2f} %), worst foot {worst.run} {worst.foot} "
         f"{100 * worst.in_order / worst.strides:.1f} %; false swings per 100 strides: "
-        f"{100 * sum(r.false_swings for r in results) / strides:.2f}"
-    )
-    save([asdict(r) for r in results], options.json)
+        f"{100 * sum(r.false_swings for r in results) / strides:.2f}",
+    ]
+    console.print(table)
+    publish(console, [], options, total)
     return verdict(console, share >= MIN_IN_ORDER and SPEED_BAR[0] <= ratios.min() and ratios.max() <= SPEED_BAR[1])
 
 

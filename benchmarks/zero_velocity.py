@@ -11,11 +11,10 @@ over 8 cm are counted apart. The recordings are not part of the project; without
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
-from command_line import console_of, parser_of, save, verdict
-from rich.console import Console
+from command_line import console_of, parser_of, publish, verdict
 from rich.table import Table
 from stroke_treadmill import data_folder
 from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
@@ -148,11 +147,11 @@ def evaluate_loop(track: Track, *, smoothed: bool) -> LoopResult:
     return LoopResult(smoothed, way_m, float(np.hypot(gap[0], gap[1])), float(gap[2]))
 
 
-def show(console: Console, title: str, rows: list[list[str]], columns: list[str]) -> None:
+def table_of(title: str, rows: list[list[str]], columns: list[str]) -> Table:
     table = Table(*columns, title=title)
     for row in rows:
         table.add_row(*row)
-    console.print(table)
+    return table
 
 
 def main(words: list[str] | None = None) -> int:
@@ -177,39 +176,54 @@ def main(words: list[str] | None = None) -> int:
     speeds = [evaluate_speed(feet, smoothed=smoothed) for smoothed in (False, True)] if feet else []
     loops = [evaluate_loop(loop, smoothed=smoothed) for smoothed in (False, True)] if loop else []
     named = {False: "forward", True: "smoothed"}
-    show(
-        console,
-        f"Rest against Vicon below {arguments.limit:g} m/s: pyshoe_vicon, {len(walks)} walks",
-        [
-            [r.detector, r.threshold, "causal" if r.causal else "centred", f"{r.f1:.3f}", f"{r.precision:.3f}",
-             f"{r.recall:.3f}", f"{r.worst_f1:.3f}"]
-            for r in detectors
-        ],
-        ["detector", "threshold from", "window", "F1", "precision", "recall", "worst F1"],
-    )  # fmt: skip
-    show(
-        console,
-        "ZUPT-aided filter: stride length (cm)",
-        [
-            [r.data_set, named[r.smoothed], str(r.strides), f"{r.bias_cm:+.2f}", f"{r.rmse_cm:.2f}",
-             f"{r.worst_cm:.1f}", str(r.disputed), f"{r.rmse_with_disputed_cm:.2f}"]
-            for r in lengths
-        ],
-        ["data set", "filter", "strides", "bias", "RMSE", "worst", "disputed", "RMSE with disputed"],
-    )  # fmt: skip
-    show(
-        console,
-        "stroke_treadmill: speed over belt speed, per foot",
-        [[named[r.smoothed], str(r.feet), f"{r.mean:.4f}", f"{r.sd:.4f}", f"{r.lowest:.3f}", f"{r.highest:.3f}"]
-         for r in speeds],
-        ["filter", "feet", "mean", "SD", "lowest", "highest"],
-    )  # fmt: skip
-    show(
-        console,
-        "xio_walk: a loop that ends where it began (m)",
-        [[named[r.smoothed], f"{r.way_m:.1f}", f"{r.gap_m:.2f}", f"{r.height_m:+.2f}"] for r in loops],
-        ["filter", "way", "gap", "height"],
-    )
+    tables = [
+        table_of(
+            f"Rest against Vicon below {arguments.limit:g} m/s: pyshoe_vicon, {len(walks)} walks",
+            [
+                [
+                    r.detector,
+                    r.threshold,
+                    "causal" if r.causal else "centred",
+                    f"{r.f1:.3f}",
+                    f"{r.precision:.3f}",
+                    f"{r.recall:.3f}",
+                    f"{r.worst_f1:.3f}",
+                ]
+                for r in detectors
+            ],
+            ["detector", "threshold from", "window", "F1", "precision", "recall", "worst F1"],
+        ),
+        table_of(
+            "ZUPT-aided filter: stride length (cm)",
+            [
+                [
+                    r.data_set,
+                    named[r.smoothed],
+                    str(r.strides),
+                    f"{r.bias_cm:+.2f}",
+                    f"{r.rmse_cm:.2f}",
+                    f"{r.worst_cm:.1f}",
+                    str(r.disputed),
+                    f"{r.rmse_with_disputed_cm:.2f}",
+                ]
+                for r in lengths
+            ],
+            ["data set", "filter", "strides", "bias", "RMSE", "worst", "disputed", "RMSE with disputed"],
+        ),
+        table_of(
+            "stroke_treadmill: speed over belt speed, per foot",
+            [
+                [named[r.smoothed], str(r.feet), f"{r.mean:.4f}", f"{r.sd:.4f}", f"{r.lowest:.3f}", f"{r.highest:.3f}"]
+                for r in speeds
+            ],
+            ["filter", "feet", "mean", "SD", "lowest", "highest"],
+        ),
+        table_of(
+            "xio_walk: a loop that ends where it began (m)",
+            [[named[r.smoothed], f"{r.way_m:.1f}", f"{r.gap_m:.2f}", f"{r.height_m:+.2f}"] for r in loops],
+            ["filter", "way", "gap", "height"],
+        ),
+    ]
     failures = [
         f"{r.detector}: F1 {r.f1:.3f} below {LEAST_F1[Detector[r.detector]]}"
         for r in detectors
@@ -220,15 +234,7 @@ def main(words: list[str] | None = None) -> int:
         for r in lengths
         if r.smoothed and r.rmse_cm > LENGTH_BAR_CM[r.data_set]
     ]
-    for failure in failures:
-        console.print(failure)
-    results = {
-        "detectors": [asdict(r) for r in detectors],
-        "lengths": [asdict(r) for r in lengths],
-        "speeds": [asdict(r) for r in speeds],
-        "loops": [asdict(r) for r in loops],
-    }
-    save(results, arguments.json)
+    publish(console, tables, arguments, failures)
     return verdict(console, not failures, several=True)
 
 
