@@ -193,10 +193,30 @@ def check(quick: dict[str, Sequence[str]], results: Path = RESULTS) -> int:
 
 
 QUICK: dict[str, Sequence[str]] = {"papers-simulated": ("papers.py", "--simulated")}
+SEVEN = "turn_rad lifts_after shortest_swing_share slowed_share rest_share flat_rad settled_share"
 LONG: dict[str, Sequence[str]] = {
     "papers": ("papers.py",),
     "harm": ("virtual_harm.py",),
     "disorder": ("disorder.py",),
+    "every-walker": ("every_walker.py",),
+    "left-out": ("left_out.py", "--constants", *SEVEN.split()),
+    "landings": ("landings.py",),
+    "calibration": ("calibration.py",),
+    "first-last-turn": ("first_last_turn.py",),
+    "offline-phases": ("offline_phases.py",),
+    "severe-feet": ("severe_feet.py",),
+    "predicted-onset": ("predicted_onset.py",),
+    "bundled-trials": ("bundled_trials.py",),
+    "stroke-treadmill": ("stroke_treadmill.py",),
+    "stride-length": ("stride_length.py",),
+    "clearance": ("clearance.py",),
+    "inclines": ("inclines.py",),
+    "events": ("events.py",),
+    "roll": ("roll.py",),
+    "zero-velocity": ("zero_velocity.py",),
+    "ankle": ("ankle.py",),
+    "shank-phases": ("shank_phases.py",),
+    "orientation-limits": ("orientation_limits.py",),
     "witness": ("witness.py",),
     "witness-sound": ("witness.py", "--lies"),
     **{

@@ -106,11 +106,15 @@ def thresholds_table() -> str:
 def generated(stride: Shown) -> str:
     """All that stands between the markers."""
     theory = inspect.cleandoc(statemachine.__doc__ or "").partition("\n\n")[2]
+    theory, _, read_on = theory.rpartition("\n\n")
+    features = inspect.cleandoc(Features.__doc__ or "").replace("``", "`")
     picture = f"![The four phases and the six transitions]({STATES.name})\n"
     return "\n\n".join(
         (
             PICTURE.sub(picture, theory),
             transitions_table(),
+            f"**What they look at.** {features}",
+            read_on,
             f"## One stride\n\n{stride.words}\n\n![One stride's signals, phases and limits]({STRIDE.name})",
             stride.table(),
             f"## Thresholds\n\n{inspect.cleandoc(Thresholds.__doc__ or '').replace('``', '`')}",

@@ -19,12 +19,13 @@ FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": 
 class Features(NamedTuple):
     """What the guards may look at, at one sample of one foot. All causal.
 
-    ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
-    greatest toe-down rate since pre-swing began, ``toe_up_peak_radps`` the greatest toe-up rate since swing began, and
-    ``landing_peak_radps`` the greatest rate either way since contact (none is negative). ``turned_rad`` is how far the
-    foot has turned toe-down since it last stood still in stance. ``pitch_rad`` is how far it is from this person's own
-    flat pitch, learnt in mid-stance, toe-up positive, and ``pitch_sd_rad`` how far off it usually is when the foot has
-    landed and stands still: what integration over a swing leaves.
+    ``toe_down_radps`` is how fast the foot turns about its mediolateral axis, toe-down (plantarflexion) positive; "toe
+    up" is the same the other way round. ``toe_down_peak_radps`` is the greatest since pre-swing began,
+    ``toe_up_peak_radps`` the greatest toe-up rate since swing began, and ``landing_peak_radps`` the greatest rate
+    either way since contact (none is negative). ``turned_rad`` is how far the foot has turned toe-down since it last
+    stood still in stance. ``pitch_rad`` is how far it is from this person's own flat pitch, learnt in mid-stance,
+    toe-up positive, and ``pitch_sd_rad`` how far off it usually is when the foot has landed and stands still: what
+    integration over a swing leaves.
     ``contact_jerk_mps3`` is the change of the vertical acceleration over the last 10 ms, or half that of the whole
     force where that is more, per second. ``in_swing_s`` counts from foot off, ``since_contact_s`` from contact.
     ``resting_s`` is how long the foot has hardly turned, ``settled_s`` how long it has stood still since contact,

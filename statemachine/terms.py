@@ -26,6 +26,7 @@ UNITS: Final = {
 FLAG: Final = "yes or no"  # instead of a unit
 _OPPOSITE: Final = {"<": "≥", "≥": "<", ">": "≤", "≤": ">"}
 _YES_NO: Final = {True: "yes", False: "no"}
+_NEGATED: Final = {"toe down": "toe up"}  # what has a name of its own the other way round
 
 
 class _Joined:
@@ -172,7 +173,7 @@ class Traced:
     __radd__, __rsub__, __rmul__, __rtruediv__ = map(_swapped, (__add__, __sub__, __mul__, __truediv__))
 
     def __neg__(self) -> "Traced":
-        return Traced(-self.value, f"−{self.words}", self.unit)
+        return Traced(-self.value, _NEGATED.get(self.words, f"−{self.words}"), self.unit)
 
     def __abs__(self) -> "Traced":
         return Traced(abs(self.value), f"|{self.words}|", self.unit)

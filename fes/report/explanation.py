@@ -85,11 +85,11 @@ def explanation_figure(explained: Explanation, foot: FootThen) -> Figure:
     t_s, rate, phase = (np.array(column) for column in zip(*explained.trace[foot.foot], strict=True))
     around_s = AROUND_NS / NS_PER_S
     limits = [
-        (term.limit if not term.what.startswith("−") else -term.limit, guard.transition)
+        (term.limit if term.what == "toe down" else -term.limit, guard.transition)
         for guard in foot.guards
         if guard.asked
         for term in guard.terms.each()
-        if term.what in ("toe down", "−toe down")
+        if term.what in ("toe down", "toe up")
     ]
     levels = np.array([value for value, _ in limits] + [0.0])
     low, high = padded([rate, levels])
