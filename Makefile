@@ -33,17 +33,17 @@ help:
 	@echo "make mutants  mutation testing of the gate and the plan; an unexplained survivor is an error (about 20 minutes)"
 	@echo "make hazards  takes each hazard's control out of a copy and sees its test fail (about 5 minutes)"
 
-$(VENV)/run.stamp: requirements.lock pyproject.toml
+$(VENV)/run.stamp: locks/run.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fes needs Python 3.11 or newer; set PYTHON=python3.11")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r locks/run.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	$(BIN)/python -m compileall -q fes drivers statemachine
 	-$(BIN)/fes compile
 	touch $@
 
-$(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+$(VENV)/dev.stamp: locks/dev.lock $(VENV)/run.stamp
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r locks/dev.lock
 	touch $@
 
 demo: $(VENV)/run.stamp
@@ -65,7 +65,7 @@ wheel-test: $(VENV)/run.stamp
 	rm -rf $(WHEEL) dist
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
 	$(PYTHON) -m venv $(WHEEL)
-	$(WHEEL)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(WHEEL)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r locks/run.lock
 	$(WHEEL)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index dist/*.whl
 	folder=$$(mktemp -d) && cd $$folder && export PYTHONPATH= PATH="$(abspath $(WHEEL))/bin:$$PATH" && \
 	  fes demo && fes simulate --seconds 40 && fes analyse out/simulated.parquet && fes hil --only imu_frozen && \
@@ -123,9 +123,9 @@ figures-all: $(VENV)/dev.stamp $(PEERS)/peers.stamp
 # The libraries we compare with: an environment of their own, never part of the product.
 peers: $(PEERS)/peers.stamp
 
-$(PEERS)/peers.stamp: requirements-peers.lock
+$(PEERS)/peers.stamp: locks/peers.lock
 	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
-	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r locks/peers.lock
 	touch $@
 
 nightly: $(VENV)/dev.stamp
@@ -147,9 +147,9 @@ docs-site: $(DOCS)/docs.stamp
 	PYTHONPATH="$(CURDIR)" $(DOCS)/bin/python -m sphinx -q -W --keep-going -b html -c docs/site docs out/site
 	@echo "out/site/index.html"
 
-$(DOCS)/docs.stamp: requirements-docs.lock requirements.lock
+$(DOCS)/docs.stamp: locks/docs.lock locks/run.lock
 	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
-	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock -r requirements-docs.lock
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r locks/run.lock -r locks/docs.lock
 	touch $@
 
 # Every fault on every transport, then kill -9 100 times on each and 1,000,000 random frames; some hours. A transport
@@ -171,10 +171,10 @@ trials: $(VENV)/run.stamp
 
 # Needs uv on the path; writes no address of any registry.
 lock:
-	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements.lock
-	uv pip compile pyproject.toml --extra dev -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements-dev.lock
-	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements-peers.lock
-	uv pip compile docs/site/requirements.in -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o requirements-docs.lock
+	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/run.lock
+	uv pip compile pyproject.toml --extra dev -c locks/run.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/dev.lock
+	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/peers.lock
+	uv pip compile docs/site/requirements.in -c locks/dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/docs.lock
 
 clean:
 	rm -rf $(VENV) $(VENV)-* out dist

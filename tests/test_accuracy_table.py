@@ -165,7 +165,7 @@ def test_without_recordings_it_says_so(tmp_path):
 
 
 def test_the_lock_holds_hashes_and_no_address():
-    text = (BENCHMARKS.parent / "requirements-peers.lock").read_text()
+    text = (BENCHMARKS.parent / "locks/peers.lock").read_text()
     assert "://" not in text
     names = {line.split("==")[0] for line in text.splitlines() if "==" in line and not line.startswith(" ")}
     assert {"gaitmap", "gaitmap-mad", "imufusion", "vqf", "ahrs"} <= names

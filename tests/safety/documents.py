@@ -182,7 +182,7 @@ def licence(package: str) -> str:
 
 def third_party_page() -> str:
     """docs/third_party.md."""
-    runs, develops = locked("requirements.lock"), locked("requirements-dev.lock")
+    runs, develops = locked("locks/run.lock"), locked("locks/dev.lock")
     only = {name: version for name, version in develops.items() if name not in runs}
     tables = [
         "\n".join(f"| {name} | {version} | {licence(name)} |" for name, version in sorted(packages.items()))
@@ -194,11 +194,11 @@ def third_party_page() -> str:
 {REGENERATE} Versions are those of the lock files, by which `make` installs with hashes; licences are what the installed
 packages say of themselves. The report's charts use uPlot (MIT), which lies in `fes/report/static/` with its licence.
 
-## In the product (`requirements.lock`)
+## In the product (`locks/run.lock`)
 
 {head}{tables[0]}
 
-## For its development and tests (`requirements-dev.lock`), and devices' own libraries that not everybody needs
+## For its development and tests (`locks/dev.lock`), and devices' own libraries that not everybody needs
 
 {head}{tables[1]}
 """

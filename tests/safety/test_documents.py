@@ -43,7 +43,7 @@ def test_third_party_versions_are_those_of_the_lock_files() -> None:
     page = (DOCS / "third_party.md").read_text(encoding="utf-8")
     told = dict(re.findall(r"^\| ([\w.-]+) \| ([^ |]+) \|", page, re.MULTILINE))
     told.pop("package", None)
-    assert told == locked("requirements.lock") | locked("requirements-dev.lock"), f"third_party.md {AGAIN}"
+    assert told == locked("locks/run.lock") | locked("locks/dev.lock"), f"third_party.md {AGAIN}"
 
 
 @pytest.mark.parametrize("hazard", HAZARDS, ids=lambda hazard: hazard["cause"])
