@@ -100,6 +100,7 @@ class Judged:
     swings: int
     false_swings: int
     flat_ms: list[float]
+    left_ms: list[float]
     late_ms: dict[str, list[float]]
 
     def off_ms(self, instant: str) -> float:
@@ -120,7 +121,7 @@ def together(judged: Iterable[Judged]) -> Judged:
     return Judged(
         sum(foot.strides for foot in feet), sum(foot.in_order for foot in feet),
         sum(foot.swings for foot in feet), sum(foot.false_swings for foot in feet),
-        [ms for foot in feet for ms in foot.flat_ms], late,
+        [ms for foot in feet for ms in foot.flat_ms], [ms for foot in feet for ms in foot.left_ms], late,
     )  # fmt: skip
 
 
@@ -167,7 +168,7 @@ def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, Fo
     strides = [pair for pair in pairs(swings) if foot.labels is None or foot.labels.judged(*pair)]
     calibration = made[key]
     if calibration is None:
-        return Judged(len(strides), 0, len(swings.whole()), 0, [], {})
+        return Judged(len(strides), 0, len(swings.whole()), 0, [], [], {})
     sensor = foot.track.sensor
     point = Point(tuple((f"thresholds.{name}", values[name]) for name in GUARDS))
     changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
@@ -187,9 +188,10 @@ def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, Fo
             found.later_ms[each.name] = [ms for one in marks for ms in errors_ms(one, changes, each)[1]]
     elif foot.data_set == "bundled":
         found.later_ms = against_truth(foot, changes)
-    return Judged(
-        len(strides), found.in_order, len(swings.whole()), found.false_swings, found.flat_ms, found.later_ms
-    )  # fmt: skip
+    if foot.person in SHORT_FLAT:
+        found.loading_left_ms = []
+    counted = len(strides), found.in_order, len(swings.whole()), found.false_swings
+    return Judged(*counted, found.flat_ms, found.loading_left_ms, found.later_ms)
 
 
 def against_truth(foot: Foot, changes: Sequence[PhaseChange]) -> dict[str, list[float]]:
@@ -256,7 +258,10 @@ def main(arguments: list[str] | None = None) -> int:
     groups: dict[str, list[tuple[list[Judged], list[Judged]]]] = defaultdict(list)
     for walker, its in walkers.items():
         out, inside = ([final[k][combined.index(values)] for k in its] for values in (folds[walker], own))
-        groups[f"{walker[0]}, {feet[its[0]].part}"].append((out, inside))
+        part = feet[its[0]].part
+        if walker[0] == "footswitch_treadmill":
+            part = "healthy" if walker[1].startswith("H") else "hemiparetic"
+        groups[f"{walker[0]}, {part}"].append((out, inside))
         rows += [
             {"set": feet[k].data_set, "part": feet[k].part, "person": feet[k].person, "run": feet[k].run,
              "sensor": feet[k].track.sensor, "left_out": vars(a), "own": vars(b)}
@@ -264,7 +269,8 @@ def main(arguments: list[str] | None = None) -> int:
         ]  # fmt: skip
     groups["all"] = [pair for group in groups.values() for pair in group]
     table = Table(
-        "set", "walkers, feet", "strides", "", "in order %", "worst foot", "false /100", "flat ms",
+        "set", "walkers, feet", "strides", "", "in order %", "worst foot", "false /100", "flat foot stimulated ms",
+        "loading left ms", "most flat of a walker ms",
         *(f"{each.name} ms" for each in TIMED), "cost ms",
         title="T1, T3, T4: size of a walker's median error, mean of walkers",
     )  # fmt: skip
@@ -289,14 +295,16 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _cells(walkers: list[list[Judged]]) -> list[str]:
     persons, feet = [together(each) for each in walkers], [foot for each in walkers for foot in each]
-    flat = [ms for foot in feet for ms in foot.flat_ms]
+    flat, left = ([ms for foot in feet for ms in getattr(foot, name)] for name in ("flat_ms", "left_ms"))
+    most = [float(np.median(person.flat_ms)) for person in persons if person.flat_ms]
     off = [[x for x in (person.off_ms(each.name) for person in persons) if not np.isnan(x)] for each in TIMED]
     every = together(feet)
     return [
         f"{100.0 * every.in_order / max(every.strides, 1):.2f}",
         f"{min((100.0 * foot.in_order / foot.strides for foot in feet if foot.strides), default=float('nan')):.1f}",
         f"{100.0 * every.false_swings / max(every.swings, 1):.2f}",
-        f"{np.median(flat):.0f}" if flat else "–",
+        *(f"{np.median(ms):.0f}" if ms else "–" for ms in (flat, left)),
+        f"{max(most):.0f}" if most else "–",
         *(f"{np.mean(sizes):.0f}" if sizes else "–" for sizes in off),
         f"{np.mean([person.cost for person in persons]):.1f}",
     ]
