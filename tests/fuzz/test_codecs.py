@@ -19,6 +19,7 @@ import pytest
 from examples import examples
 from spoiled import no_longer_than, spoiled
 
+from drivers.imu import capture2go_codec as c2g
 from drivers.imu import xbus_codec as xbus
 from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
@@ -202,6 +203,22 @@ def ximu3_stream(data: bytes) -> int:
     return len(found)
 
 
+C2G_STREAM = [
+    c2g.pack(c2g.Header.DATA_FULL_6D_FIXED_100HZ, {"timestamp": 7, "gyr": (1, 2, 3)})
+    + c2g.pack(c2g.Header.DATA_STATUS),
+    c2g.pack(c2g.Header.DATA_FULL_PACKED_200HZ) + b"\x02" * 9 + c2g.pack(c2g.Header.ERROR, {"command": 0x0150}),
+]
+
+
+def capture2go_stream(data: bytes) -> int:
+    packages = c2g.Capture2GoDecoder().feed(data)
+    for package in packages:
+        assert c2g.encode(package.header, package.payload) in data
+        c2g.unpack(package)
+        c2g.samples(package)
+    return len(packages)
+
+
 # --- the session log's records ------------------------------------------------------------------------------
 
 RECORDS = [
@@ -259,6 +276,7 @@ CODECS = (
     Codec("Xbus", XBUS_STREAM, xbus_stream, 120_000),
     Codec("Xbus measurements", [stream[4:-1] for stream in XBUS_STREAM[:1]], xbus_measurement, 80_000),
     Codec("x-IMU3", [ximu3.encode(ximu3.Inertial(5, (1, 2, 3), (0, 0, 1))) * 3], ximu3_stream, 80_000),
+    Codec("Capture2Go", C2G_STREAM, capture2go_stream, 80_000),
     Codec("IMU on CAN", XSENS_FRAMES, xsens_frame, 60_000),
     Codec("log records", [bytes((kind,)) + payload for kind, payload in RECORDS], record, 60_000),
 )

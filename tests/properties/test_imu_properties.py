@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.imu import capture2go_codec as c2g
 from drivers.imu import xbus_codec as xbus
 from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
@@ -57,6 +58,49 @@ def test_ximu3_round_trip_after_any_bytes(
     decoder.feed(b"\n")
     message = ximu3.Inertial(t_us, gyr, acc)
     assert decoder.feed(ximu3.encode(message)) == [message]
+
+
+@pytest.mark.requirement("SR-15")
+@BOUNDED
+@given(CHUNKS, st.sampled_from(sorted(c2g.Header)), st.integers(0, 10**6))
+def test_capture2go_takes_any_bytes_and_finds_the_same_however_cut(
+    chunks: list[bytes], header: c2g.Header, cut_at: int
+) -> None:
+    good = c2g.pack(header)
+    chunks = [*chunks, good[: cut_at % len(good)], good[cut_at % len(good) :], *chunks, good, bytes(260)]
+    cut, whole = c2g.Capture2GoDecoder(), c2g.Capture2GoDecoder()
+    found = [package for chunk in chunks for package in cut.feed(chunk)]
+    assert found == whole.feed(b"".join(chunks))
+    assert cut.counts == whole.counts
+    assert found.count(c2g.Package(header, good[c2g.HEAD_BYTES :])) >= 2  # noise costs no package after it
+    for package in found:
+        assert c2g.encode(package.header, package.payload) in b"".join(chunks)
+        c2g.samples(package)
+
+
+@BOUNDED
+@given(st.integers(-(2**63), 2**63 - 1), *[st.tuples(*[st.integers(-(2**15), 2**15 - 1)] * 3)] * 2, st.integers(0, 31))
+def test_capture2go_samples_are_within_their_range(
+    t_ns: int, gyr: tuple[int, int, int], acc: tuple[int, int, int], flags: int
+) -> None:
+    fields: dict[str, c2g.Value] = {"timestamp": t_ns, "gyr": gyr, "acc": acc, "errorFlags": flags}
+    (package,) = c2g.Capture2GoDecoder().feed(c2g.pack(c2g.Header.DATA_FULL_6D_FIXED_200HZ, fields))
+    (sample,) = c2g.samples(package)
+    assert (sample.t_ns, sample.flags) == (t_ns, flags)
+    assert c2g.unpack(package) == {**fields, "quat": 0, "delta": 0}
+    assert max(map(abs, sample.gyr_radps)) <= math.radians(2000.0) * (1 + 1e-12)
+    assert max(map(abs, sample.acc_mps2)) <= 16 * 9.81
+
+
+@BOUNDED
+@given(st.lists(st.binary(max_size=80), max_size=8))
+def test_capture2go_takes_any_notifications(notifications: list[bytes]) -> None:
+    decoder = c2g.NotificationDecoder()
+    for notification in notifications:
+        for package in decoder.feed(notification):
+            c2g.unpack(package)
+    live = c2g.pack(c2g.Header.DATA_FULL_FIXED_RT)
+    assert decoder.feed(b"\xfe" + live)[0] == c2g.Package(c2g.Header.DATA_FULL_FIXED_RT, live[c2g.HEAD_BYTES :])
 
 
 @BOUNDED
