@@ -14,6 +14,8 @@ _ARPHRD_CAN: Final = "280"  # linux/if_arp.h
 _ADAPTERS: Final = ("pcan", "kvaser")  # python-can finds these without opening them; others take seconds
 _MAKERS: Final = {0x2639: "Xsens", 0x0403: "FTDI"}
 _WORDS: Final = {
+    "capture2go": "SensorStim",
+    "sensorstim": "SensorStim",
     "xsens": "Xsens",
     "movella": "Xsens",
     "x-io": "x-io",

@@ -14,6 +14,7 @@ OPTIONS = {
     "xsens_can": ("id_offset", "group_counter"),
     "dbc_can": ("dbc", *AXES, "time", "counter", "acc_unit", "gyr_unit", "time_unit", "id_offset"),
     "ximu3": ("baudrate", "library"),
+    "capture2go": ("baudrate", "sync", "sync_id"),
     "lsl": (*AXES, "acc_unit", "gyr_unit", "timeout_s"),
 }  # that each kind of device has
 
@@ -83,6 +84,10 @@ def _open_alone(device: ImuDevice) -> ImuPort:
         from drivers.imu.ximu3_port import Ximu3Imu, Ximu3LibraryImu
 
         return Ximu3LibraryImu(device) if flag_option(device, "library", False) else Ximu3Imu(device)
+    if device.device == "capture2go":
+        from drivers.imu.capture2go_port import Capture2GoImu
+
+        return Capture2GoImu(device)
     from drivers.imu.lsl_port import LslImu
 
     return LslImu(device)

@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
@@ -12,7 +12,7 @@ from fes.signals import G_MPS2, NS_PER_S, RawSample, Vector3
 
 AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")  # as options name them
 BEYOND_RANGE: Final = 1.05  # a sensor's own calibration may stretch its full scale a little, not more
-_NAN: Final = (math.nan, math.nan, math.nan)
+NOT_A_NUMBER: Final = (math.nan, math.nan, math.nan)
 
 
 class ImuLost(RuntimeError):
@@ -26,7 +26,8 @@ class LineCounts:
     ``missing`` by the device's own counter (or stamps); ``doubled`` samples with the stamp of the one before;
     ``backward`` stamps that went back; ``bad_frames`` failed a structural check (checksum, length, incomplete group);
     ``bad_values`` were NaN or beyond what the sensor can measure, and are passed on as NaN; ``clipped`` by the device's
-    own flag; ``bytes_skipped`` belonged to no frame.
+    own flag; so are ``time_gaps``, and ``unsound``, whose processing in the device failed (passed on as NaN);
+    ``bytes_skipped`` belonged to no frame.
     """
 
     samples: int = 0
@@ -36,6 +37,8 @@ class LineCounts:
     bad_frames: int = 0
     bad_values: int = 0
     clipped: int = 0
+    time_gaps: int = 0
+    unsound: int = 0
     bytes_skipped: int = 0
 
 
@@ -48,6 +51,11 @@ class ImuPort(ABC):
     sensors: tuple[str, ...]
     serials: Mapping[str, str] = MappingProxyType({})
     counts: dict[str, LineCounts]
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What the devices say of themselves that a person should know; most say nothing."""
+        return ()
 
     @abstractmethod
     def fileno(self) -> int | None:
@@ -89,7 +97,7 @@ class Ranges:
         if all(abs(value) <= most for values, most in within for value in values):  # a comparison with NaN is False
             return sample
         counts.bad_values += 1
-        return replace(sample, acc_mps2=_NAN, gyr_radps=_NAN)
+        return replace(sample, acc_mps2=NOT_A_NUMBER, gyr_radps=NOT_A_NUMBER)
 
 
 class OneSensorPort(ImuPort):

@@ -2,7 +2,8 @@
 
 The line is a pseudo-terminal of its own, a TCP port, or UDP datagrams. Faults: ``garble`` / ``drop`` / ``reorder``: so
 many of the next messages have a bit flipped, are lost, or change places with the one after. ``delay``: every message
-comes so many seconds late. ``mute``: 1, none comes at all; 0, all again.
+comes so many seconds late. ``mute``: 1, none comes at all; 0, all again. ``backlog``: 1, none comes but each waits
+in its order, as in the buffer of a sensor whose radio does not get through; 0, all that waited come at once.
 """
 
 import contextlib
@@ -22,7 +23,7 @@ from drivers.simulated.process_end import STDIN, CommandReader, fault_commands
 from drivers.simulated.stimulator.firmware import NEVER
 from fes.signals import NS_PER_S
 
-LINE_FAULTS: Final = frozenset(("garble", "drop", "reorder", "delay", "mute"))
+LINE_FAULTS: Final = frozenset(("garble", "drop", "reorder", "delay", "mute", "backlog"))
 LONGEST_WAIT_S: Final = 1.0
 
 
@@ -195,6 +196,7 @@ class LineFaults:
         self._values = FaultValues(dict.fromkeys(LINE_FAULTS, 0.0))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._held = b""
+        self._backlog: list[bytes] = []
         self._order = itertools.count()
 
     def set(self, name: str, value: float) -> None:
@@ -224,15 +226,22 @@ class LineFaults:
     def due(self, t_ns: int) -> bytes:
         """What has got through by now."""
         out = b""
+        if not self._values["backlog"] and self._backlog:
+            out, self._backlog = b"".join(self._backlog), []
         while self._waiting and self._waiting[0][0] <= t_ns:
             out += heapq.heappop(self._waiting)[2]
         return out
 
     def next_deadline_ns(self) -> int:
         """When :meth:`due` has something next."""
+        if self._backlog and not self._values["backlog"]:
+            return 0
         return self._waiting[0][0] if self._waiting else NEVER
 
     def _push(self, t_ns: int, message: bytes) -> None:
+        if self._values["backlog"]:
+            self._backlog.append(message)
+            return
         heapq.heappush(self._waiting, (t_ns + int(self._values["delay"] * NS_PER_S), next(self._order), message))
 
 

@@ -19,7 +19,7 @@ from fes.config import Bus
 
 DeviceKind = Literal["sciencemode4", "sciencemode2"]
 _PROBES: Final = frozenset((1,))
-ImuKind = Literal["xbus", "ximu3", "xsens_can", "dbc_can", "lsl"]
+ImuKind = Literal["xbus", "ximu3", "capture2go", "xsens_can", "dbc_can", "lsl"]
 
 
 class NodeFailed(StimulatorLost):
@@ -165,9 +165,10 @@ def spawn_imu(
     """Start ``python -m drivers.simulated.imu.process`` and wait until it is ready.
 
     It feels what ``sensor`` feels in ``recording``, or in a simulated walk, ``rate_hz`` times a second by a clock
-    that begins at ``offset_s`` and drifts by ``drift_ppm``. ``line`` is for ``xbus`` and ``ximu3``, ``bus`` for
+    that begins at ``offset_s`` and drifts by ``drift_ppm``. ``line`` is for serial ones, ``bus`` for
     ``xsens_can`` (with ``id_offset``) and ``dbc_can`` (with ``options`` as in a session's settings), ``name`` for LSL.
-    ``serial``: the number that ``xbus`` tells. ``record``: the file for :meth:`ImuHandle.played`.
+    ``serial``: the number that ``xbus`` tells, and ``capture2go`` (6 characters). ``record``: the file for
+    :meth:`ImuHandle.played`.
 
     Raises:
         ImuLost: it ended, or was not ready in time.

@@ -7,9 +7,10 @@ from typing import Final
 
 import click
 
+from drivers.simulated.spawn import ImuKind
 from drivers.stimulator.port import StimulatorLost
 from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, choice, out_option
+from fes.cli.common.options import PATH, SENSOR_KINDS, choice, out_option
 from fes.cli.common.show import print_json
 from fes.cli.replay.preparation import prepared
 from fes.config import ConfigError
@@ -33,6 +34,7 @@ REPEAT: Final = "Each fault so many times, each of its values once."
 @click.option("--repeat", type=click.IntRange(1, 1000), default=1, show_default=True, help=REPEAT)
 @click.option("--closed-loop", is_flag=True, help="With a virtual patient, who feels what the stimulator delivers.")
 @click.option("--recording", type=PATH, help="The sensor plays a walk out of this recording.")
+@choice("--sensors", of=SENSOR_KINDS, help="Which simulated sensor is worn.")
 @click.option("--list", "listing", is_flag=True, help="List the faults and end.")
 @out_option("Results below.")
 @click.option("--hardware", type=PATH, help="Real devices, as in this session file.")
@@ -46,6 +48,7 @@ def command(
     repeat: int,
     closed_loop: bool,
     recording: Path | None,
+    sensors: ImuKind,
     listing: bool,
     out: Path,
     hardware: Path | None,
@@ -110,7 +113,7 @@ def command(
             if hardware is not None and calibration is not None:
                 campaign = hardware_campaign(hardware, calibration, *todo)
             else:
-                campaign = simulated_campaign(transport, *todo, channel, closed_loop, played)
+                campaign = simulated_campaign(transport, *todo, channel, closed_loop, played, sensors)
     except KeyboardInterrupt:
         interrupted(f"; everything is ended. Records so far: {folder}")
     data, text = save_campaign(campaign, folder)

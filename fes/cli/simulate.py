@@ -18,7 +18,7 @@ from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
 from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder
 from fes.cli.common.loop_view import stride_line
-from fes.cli.common.options import PATH, SIDE, STIMULATORS, Number, choice, given_options, out_option
+from fes.cli.common.options import PATH, SENSOR_KINDS, SIDE, STIMULATORS, Number, choice, given_options, out_option
 from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show_latched
 from fes.estimation.foot.calibration import CalibrationError
@@ -38,7 +38,9 @@ KEYS: Final = "w walk · s stand · + − belt speed · e electrode slips (and b
 WALKS_AFTER_S: Final = 30.0  # where nobody can press a key
 
 
-def simulate_live(settings: PatientSettings, options: Options, seconds: float | None, stimulator: str) -> None:
+def simulate_live(
+    settings: PatientSettings, options: Options, seconds: float | None, stimulator: str, sensors: str
+) -> None:
     """Start patient and stimulator, write the session, then pass on what happens for ``seconds``, or until told.
 
     Raises:
@@ -50,7 +52,7 @@ def simulate_live(settings: PatientSettings, options: Options, seconds: float | 
     with ExitStack() as stack:
         interrupt = stack.enter_context(Interrupt())
         with failing(ImuLost, StimulatorLost, CalibrationError):
-            bench = start_patient_bench(settings, folder, stack, stimulator=stimulator, waits=True)
+            bench = start_patient_bench(settings, folder, stack, stimulator=stimulator, waits=True, sensors=sensors)
         meet = f"fes run {bench.session} --calibration {bench.calibration}"
         click.echo(f"The patient stands. In another terminal:\n\n    {meet}\n")
         click.echo("There: a arms (while the patient stands), + raises the intensity.")
@@ -143,12 +145,15 @@ class Options:
 @choice("--stimulate", of=CONTROL, help="phase: by the controller, in closed loop with a simulated stimulator.")
 @click.option("--live", is_flag=True, help="In real time, as devices that `fes run` meets in another terminal.")
 @choice("--stimulator", of=STIMULATORS, help="With --live: which simulated stimulator.")
+@choice("--sensors", of=SENSOR_KINDS, help="With --live: which simulated sensors.")
 @click.option("--session", type=PATH, help="Settings of the stimulation (TOML).")
 @out_option("Folder.")
 @click.option("--name", default="simulated", show_default=True, help="Name of the files.")
 @click.option("--overwrite", is_flag=True, help="Replace files of that name.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(patient: Path | None, severity: str | None, live: bool, stimulator: str, **chosen: Any) -> None:
+def command(
+    patient: Path | None, severity: str | None, live: bool, stimulator: str, sensors: str, **chosen: Any
+) -> None:
     """Let a virtual patient walk and record foot and shank sensors of both legs, with the truth.
 
     PATIENT is a settings file (TOML, table [patient]); options win over it. Writes NAME.parquet with its sidecar, the
@@ -165,8 +170,8 @@ def command(patient: Path | None, severity: str | None, live: bool, stimulator: 
     if live and (idle := sorted(on_line & {"stimulate", "session", "overwrite", "as_json"})):
         named = "json" if idle[0] == "as_json" else idle[0]
         raise Problem(f"--{named} has no meaning with --live: the session file is written, and `fes run` stimulates.")
-    if not live and "stimulator" in on_line:
-        raise Problem("--stimulator goes with --live.")
+    if not live and (idle := sorted(on_line & {"stimulator", "sensors"})):
+        raise Problem(f"--{idle[0]} goes with --live.")
     if "session" in on_line and options.stimulate == "none":
         raise Problem("--session goes with --stimulate phase.")
     with failing(ValueError):
@@ -175,7 +180,7 @@ def command(patient: Path | None, severity: str | None, live: bool, stimulator: 
         else:
             settings = settings_for(severity or "moderate", **others)
     if live:
-        simulate_live(settings, options, options.seconds if "seconds" in on_line else None, stimulator)
+        simulate_live(settings, options, options.seconds if "seconds" in on_line else None, stimulator, sensors)
         return
     simulate(settings, options)
 

@@ -19,6 +19,7 @@ from typing import Final
 from drivers.imu.port import ImuLost
 from drivers.simulated.bus_guests import Rogue
 from drivers.simulated.record import RecordEntry
+from drivers.simulated.spawn import ImuKind
 from drivers.stimulator.port import StimulatorLost
 from fes.hil.baseline import Baseline
 from fes.hil.campaign_bench import (
@@ -419,12 +420,13 @@ def simulated_campaign(
     channel: str,
     closed_loop: bool,
     played: PlayedRecording | None = None,
+    sensors: ImuKind = "xbus",
 ) -> Campaign:
     """Run these scenarios on simulated devices, each ``repeat`` times; whatever ends it, nothing is left running.
 
     The folder, for records and logs, must exist. ``channel``: the interface for ``socketcan``. ``closed_loop``: with a
     virtual patient, who feels what is delivered, in the place of a recorded walk. ``played``: a recording, and its
-    calibrations, in the place of the simulated patient's walk.
+    calibrations, in the place of the simulated patient's walk. ``sensors``: which kind is simulated.
 
     Raises:
         Unavailable: the transport is not to be had on this machine.
@@ -432,9 +434,13 @@ def simulated_campaign(
         CampaignBroken: three attempts in a row could not even be made.
     """
     with ExitStack() as stack:
-        devices = start_devices(transport, folder, stack, channel, closed_loop=closed_loop, played=played)
+        devices = start_devices(
+            transport, folder, stack, channel, closed_loop=closed_loop, played=played, sensors=sensors
+        )
         bench = CampaignBench(devices, devices.capabilities | machine_capabilities(), stack)
-        name = f"{transport} ({played[0].name})" if played else transport
+        about = [played[0].name] if played else []
+        about += [sensors] if sensors != "xbus" else []  # which is the usual
+        name = f"{transport} ({', '.join(about)})" if about else transport
         return run_campaign(bench, name, scenarios, repeat, progress)
 
 

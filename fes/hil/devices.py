@@ -21,6 +21,7 @@ from drivers.simulated.spawn import (
     DeviceHandle,
     DeviceKind,
     ImuHandle,
+    ImuKind,
     NodeHandle,
     free_bus,
     spawn_device,
@@ -46,6 +47,7 @@ SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
 }
 
 
+REALS: Final = ("xbus", "ximu3")  # sensors that send floating point
 Sensor = ImuHandle | PatientSensor
 PlayedRecording = tuple[Recording, SensorCalibrations]
 WITHOUT_DEVICES: Final = ("imu_", "stamp", "clock", "stale", "commands", "random", "phase", "dose", "view", "page")
@@ -79,6 +81,7 @@ class Devices:
     button_bus: Bus | None = None
     button: StopButton | None = None
     patient: PatientHandle | None = None
+    sensors: ImuKind = "xbus"
     pulses: Path | None = None
     _tail: RecordReader = field(init=False)
     _left: list[RecordEntry] = field(default_factory=list)
@@ -103,7 +106,7 @@ class Devices:
         """Settings for the campaign's next session."""
         path = self.folder / f"session{number}.toml"
         bus = self.button_bus if variant == "button" else self.front
-        text = session_text(variant, str(self.sensor_port), bus, self.stimulator, self.walker)
+        text = session_text(variant, str(self.sensor_port), bus, self.stimulator, self.walker, self.sensors)
         path.write_text(text, encoding="utf-8")
         return path
 
@@ -136,7 +139,7 @@ class Devices:
             self.spare = PatientSensor(self.patient)
         else:
             self._sensors += 1
-            self.spare = _sensor(self.folder, self.walker, self._sensors)
+            self.spare = _sensor(self.folder, self.walker, self._sensors, self.sensors)
             self.stack.callback(self.spare.stop)
         self.stand(self._stands)
 
@@ -161,9 +164,9 @@ class Devices:
         return self.button
 
 
-def _sensor(folder: Path, worn_by: Walker, number: int) -> ImuHandle:
+def _sensor(folder: Path, worn_by: Walker, number: int, kind: ImuKind) -> ImuHandle:
     record = folder / f"sensor{number}.jsonl"
-    return spawn_imu("xbus", sensor=worn_by.foot, recording=worn_by.recording, rate_hz=worn_by.rate_hz, record=record)
+    return spawn_imu(kind, sensor=worn_by.foot, recording=worn_by.recording, rate_hz=worn_by.rate_hz, record=record)
 
 
 def set_link(link: Path, target: str) -> None:
@@ -182,11 +185,12 @@ def start_devices(
     *,
     closed_loop: bool = False,
     played: PlayedRecording | None = None,
+    sensors: ImuKind = "xbus",
 ) -> Devices:
     """Start all of a transport's devices; ``stack`` ends them.
 
     ``closed_loop``: the sensor is worn by a virtual patient, who feels what the stimulator delivers. ``played``: the
-    sensor plays a walk out of this recording.
+    sensor plays a walk out of this recording. ``sensors``: which kind, one on a line of bytes.
 
     Raises:
         Unavailable: the transport is not to be had here, or a device does not start.
@@ -197,10 +201,10 @@ def start_devices(
         calibration = walked.calibration
         patient, pulses = None, None
         if closed_loop:
-            patient, calibration, pulses = campaign_patient(folder, stack)
+            patient, calibration, pulses = campaign_patient(folder, stack, sensors)
         front, back, link, node, stimulator = _stimulator(transport, folder, stack, channel, pulses)
         imus: list[Sensor] = (
-            [_sensor(folder, walked, number) for number in range(2)]
+            [_sensor(folder, walked, number, sensors) for number in range(2)]
             if patient is None
             else [PatientSensor(patient, patient.ports[FOOT]), PatientSensor(patient)]
         )
@@ -220,10 +224,13 @@ def start_devices(
         Needs.SLCAN: transport == "slcan",
         Needs.BUTTON: button_bus is not None,
         Needs.LONG_STAND: played is None,
+        Needs.REALS: sensors in REALS,
+        Needs.UNSOUND: sensors == "capture2go",
     }
     return Devices(
         folder, transport, calibration, walked, stimulator, front, back, link, node, imus[0], imus[1], stack,
         frozenset(need for need, met in capabilities.items() if met), button_bus, patient=patient, pulses=pulses,
+        sensors=sensors,
     )  # fmt: skip
 
 

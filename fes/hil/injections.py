@@ -151,6 +151,14 @@ def _late(bench: CampaignBench, n: int) -> int:
     return t_ns
 
 
+def _backlog(bench: CampaignBench, n: int) -> int:
+    """What the sensor's buffer has held back for the attempt's time comes all at once, as after bad reception."""
+    t_ns = bench.devices.imu.inject("backlog")
+    bench.observe(bench.value)
+    bench.devices.imu.inject("backlog", 0.0)
+    return t_ns
+
+
 def _times(name: str) -> Inject:
     """One triad's values times the attempt's."""
     return lambda bench, n: bench.devices.imu.inject(name, bench.value)
@@ -305,8 +313,10 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_rate_scaled": (_times("rate_scaled"), _clear),
     "imu_dangling": (_sensor("dangling"), _clear),
     "imu_late": (_late, _clear),
+    "imu_backlog": (_backlog, _clear),
     "imu_nan": (_sensor("nan", MANY), _clear),
     "imu_inf": (_sensor("inf", MANY), _clear),
+    "imu_unsound": (_sensor("unsound", MANY), lambda bench: bench.devices.imu.inject("unsound", 0.0)),
     "imu_saturated": (_sensor("full"), _clear),
     "imu_remounted": (_sensor("axes"), _clear),
     "axis_reversed": (_at_once(_nothing), _nothing),

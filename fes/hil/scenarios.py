@@ -37,6 +37,8 @@ class Needs(StrEnum):
     BUTTON = "a CAN bus that a stop button can be on"
     SERIAL = "a simulated stimulator on a serial line"
     LONG_STAND = "the simulated patient, who stands for longer than a burst may last"
+    REALS = "a sensor that sends floating point: whole numbers have no NaN, and end at the range"
+    UNSOUND = "a sensor with a flag for samples whose processing failed"
     FIFO = "fixed priorities (SCHED_FIFO) and a second processor"
     PROC = "/proc (Linux)"
 
@@ -44,6 +46,7 @@ class Needs(StrEnum):
 _NONE = frozenset[Needs]()
 _SIM = frozenset((Needs.SIMULATED,))
 _CAN, _LINK, _SLCAN = _SIM | {Needs.CAN}, _SIM | {Needs.LINK}, _SIM | {Needs.SLCAN}
+_REALS = _SIM | {Needs.REALS}
 _FIFO, _PROC = frozenset((Needs.FIFO,)), frozenset((Needs.PROC,))
 
 
@@ -147,8 +150,12 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_dangling", "sensor hangs from its cable and swings", 1500, _CONTRADICTS + "|remounted"),
     Scenario("imu_late", "samples late by 0.3, 0.6 s, their stamps shifted by as much", 100, _LATE,
              values=(0.3, 0.6), unit="s"),
-    Scenario("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
-    Scenario("imu_inf", "infinite values", 100, "non-finite"),
+    Scenario("imu_backlog", "samples held back for 0.1, 0.3, 1 s, then all at once", 100, "old|lost|no data|late",
+             response=_BACK, values=(0.1, 0.3, 1.0), unit="s"),
+    Scenario("imu_nan", "NaN in the sensor's values", 100, "non-finite", needs=_REALS),
+    Scenario("imu_inf", "infinite values", 100, "non-finite", needs=_REALS),
+    Scenario("imu_unsound", "sensor says that its processing failed", 100, "non-finite",
+             needs=_SIM | {Needs.UNSOUND}),
     Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit|feel it"),
     Scenario("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
     Scenario("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),

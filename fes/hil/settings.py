@@ -30,6 +30,7 @@ WALKS_S: Final = 4.5
 STOPS_S: Final = 2.6  # a last step, then a stand that with the next beginning's lasts longer than a burst may
 CALIBRATION_S: Final = 16.0
 _PATIENT: Final = settings_for("healthy", seed=11, speed_mps=1.1, sensors=(FOOT,), rate_hz=RATE_HZ, stand_s=STANDS_S)
+SYNC_ID: Final = 0x51A7  # that the virtual patient's wireless sensors share
 PATIENT_CURRENT_MA: Final = 16.0  # too little for most: the tuning has to find what is needed
 _SESSION: Final = """# Written by fes: a virtual patient and a simulated stimulator. Valid while they run.
 name = "Virtual patient"
@@ -166,20 +167,25 @@ min_off_s = 0.05
 
 
 def session_text(
-    variant: str, sensor_port: str, bus: Bus | None, stimulator: StimulatorDevice, worn_by: Walker | None = None
+    variant: str,
+    sensor_port: str,
+    bus: Bus | None,
+    stimulator: StimulatorDevice,
+    worn_by: Walker | None = None,
+    sensors: str = "xbus",
 ) -> str:
     """A session for one foot: the ``worn_by``'s, without whom the simulated patient's.
 
     Variants: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with little
     charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "", and ``reversed``, whose calibration
-    is :func:`reversed_axis`.
+    is :func:`reversed_axis`. ``sensors``: which kind it is.
     """
     start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
     text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
     foot, rate_hz = (worn_by.foot, worn_by.rate_hz) if worn_by else (FOOT, RATE_HZ)
     acc_mps2, gyr_radps = (worn_by.acc_range_mps2, worn_by.gyr_range_radps) if worn_by else (None, None)
     text += _CHANNEL.format(foot=foot, start=start, stop=stop, dose_mc=DOSE_MC if variant == "dose" else 50.0)
-    text += _sensor_text(foot, sensor_port, rate_hz, acc_mps2, gyr_radps) + _stimulator_text(stimulator, bus)
+    text += _sensor_text(sensors, foot, sensor_port, rate_hz, acc_mps2, gyr_radps) + _stimulator_text(stimulator, bus)
     return text + (_BUTTON if variant == "button" else "")
 
 
@@ -199,10 +205,12 @@ def reversed_axis(calibration: Path, folder: Path) -> Path:
     return target
 
 
-def _sensor_text(sensor: str, port: str, rate_hz: float, acc_mps2: float | None, gyr_radps: float | None = None) -> str:
+def _sensor_text(
+    device: str, sensor: str, port: str, rate_hz: float, acc_mps2: float | None, gyr_radps: float | None = None
+) -> str:
     acc_g = (acc_mps2 or 16.0 * G_MPS2) / G_MPS2
     gyr_dps = math.degrees(gyr_radps) if gyr_radps else 2000.0
-    text = f'\n[[sensors]]\nsensor = "{sensor}"\ndevice = "xbus"\nport = "{port}"\nrate_hz = {rate_hz}\n'
+    text = f'\n[[sensors]]\nsensor = "{sensor}"\ndevice = "{device}"\nport = "{port}"\nrate_hz = {rate_hz}\n'
     return text + f"acc_range_g = {acc_g:.1f}\ngyr_range_dps = {gyr_dps:.1f}\n"
 
 
@@ -222,10 +230,11 @@ def patient_session_text(
     ports: Mapping[str, str] | None = None,
     stimulator: StimulatorDevice | None = None,
     bus: Bus | None = None,
+    sensors: str = "xbus",
 ) -> str:
     """One channel on the affected foot's dorsiflexors, tuned (off, suggest or act) run to run.
 
-    ``ports``: of the sensors, by name; without them and a stimulator: for a run in one process.
+    ``ports``: of the ``sensors``, whose kind that is, by name; without them and a stimulator: for a run in one process.
     """
     text = _SESSION.format(
         side=settings.side, channel=settings.channel, foot=settings.affected_foot, current_ma=float(current_ma),
@@ -234,8 +243,10 @@ def patient_session_text(
     for foot, geometry in VirtualPatient(settings).geometry.items():
         if foot in settings.sensors:
             text += "\n" + toml_text({"geometry": {foot: geometry.model_dump()}})
-    for sensor, port in (ports or {}).items():
-        text += _sensor_text(sensor, port, settings.rate_hz, settings.imu.acc_range_mps2)
+    for number, (sensor, port) in enumerate((ports or {}).items()):
+        text += _sensor_text(sensors, sensor, port, settings.rate_hz, settings.imu.acc_range_mps2)
+        if sensors == "capture2go" and len(ports or {}) > 1:  # the first's clock is all others'
+            text += f'options = {{ sync = "{"receiver" if number else "sender"}", sync_id = {SYNC_ID} }}\n'
     return text + _stimulator_text(stimulator, bus)
 
 

@@ -19,9 +19,9 @@ SHOWN_NS: Final = 5 * NS_PER_S  # after the newest faulty sample; the log has th
 class Notices:
     """What a person should know though nothing is latched: shown with every status, logged when it begins.
 
-    Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet, and what
-    the controller says ``of_feet``. A line goes when what it tells of is over. ``lasting``: what else holds until the
-    session ends.
+    Faulty samples and lost lines of sensors that no channel follows, what sensors say of themselves, electrodes of
+    which nothing is known yet, and what the controller says ``of_feet``. A line goes when what it tells of is over.
+    ``lasting``: what else holds until the session ends.
     """
 
     def __init__(self, gate: SafetyGate, electrodes: Electrodes, of_feet: Callable[[], list[str]]) -> None:
@@ -43,7 +43,8 @@ class Notices:
         ]
         lost = (stream.why_lost for stream in self.streams)
         of_session = self.electrodes.unknown(), self.log, self.proof(), *self.lasting
-        return list(filter(None, (*self._of_feet(), *flags, *lost, *of_session)))
+        remarks = (remark for stream in self.streams for remark in stream.remarks)
+        return list(filter(None, (*self._of_feet(), *flags, *lost, *remarks, *of_session)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

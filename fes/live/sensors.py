@@ -22,6 +22,10 @@ class Imu(Protocol):
     def serials(self) -> Mapping[str, str]:
         """By sensor, the serial number of the device there, where it tells one."""
 
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What the devices say of themselves that a person should know."""
+
     def fileno(self) -> int | None:
         """A descriptor that becomes readable with new samples; None where there is none."""
 
@@ -129,6 +133,11 @@ class SensorStream:
     def fileno(self) -> int | None:
         """Readable with samples; None while the line is lost, or where there is nothing to wait on."""
         return None if self.port is None else self.port.fileno()
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What the devices say of themselves; of a lost line nothing."""
+        return () if self.port is None else self.port.remarks
 
     @property
     def must_be_polled(self) -> bool:

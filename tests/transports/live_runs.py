@@ -23,7 +23,16 @@ from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
 
 from drivers.simulated.record import RecordEntry, RecordReader
-from drivers.simulated.spawn import DeviceHandle, DeviceKind, ImuHandle, NodeHandle, spawn_device, spawn_imu, spawn_node
+from drivers.simulated.spawn import (
+    DeviceHandle,
+    DeviceKind,
+    ImuHandle,
+    ImuKind,
+    NodeHandle,
+    spawn_device,
+    spawn_imu,
+    spawn_node,
+)
 from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
 from fes.config import Bus
@@ -178,21 +187,24 @@ def lsl_and_can(folder: Path, recording: Path, stack: ExitStack) -> Bench:
     )
 
 
-def serial_rig(device: str, kind: DeviceKind) -> Callable[[Path, Path, ExitStack], Bench]:
-    """An x-IMU3 and a serial stimulator, each on a pseudo-terminal; the stimulator's has a name that stays."""
+def serial_rig(
+    device: str, kind: DeviceKind, sensors: ImuKind = "ximu3", rate_hz: float = RATE_HZ
+) -> Callable[[Path, Path, ExitStack], Bench]:
+    """A sensor and a serial stimulator, each on a pseudo-terminal; the stimulator's has a name that stays."""
 
     def make(folder: Path, recording: Path, stack: ExitStack) -> Bench:
         stimulator = stack.enter_context(spawn_device(kind, record=folder / "device.jsonl"))
         port = folder / "stimulator"
         port.symlink_to(stimulator.port)
-        imu = stack.enter_context(spawn_imu("ximu3", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
+        imu = stack.enter_context(spawn_imu(sensors, sensor=FOOT, recording=recording, rate_hz=rate_hz))
         stim = f'[stimulator]\ndevice = "{device}"\nport = "{port}"\n'
-        return Bench(FOOT, imu, stimulator, stim + sensor_text("ximu3", imu.port))
+        return Bench(FOOT, imu, stimulator, stim + sensor_text(sensors, imu.port, rate_hz=rate_hz))
 
     return make
 
 
 ximu3_and_p24 = serial_rig("p24_low_level", "sciencemode4")
+capture2go_and_p24 = serial_rig("p24_low_level", "sciencemode4", "capture2go", SLOW_RATE_HZ)
 ximu3_and_rehastim2 = serial_rig("rehastim2", "sciencemode2")
 
 

@@ -18,8 +18,11 @@ pytestmark = pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes 
 FES = [sys.executable, "-c", "from fes.cli.main import main; main()"]
 
 
-def test_a_live_session_and_one_fault(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sensors", ["xbus", "capture2go"])
+def test_a_live_session_and_one_fault(sensors: str, tmp_path: Path) -> None:
     patient, doctor, session, listed, fault = (FES + words[1:] for words in commands("sh live"))
+    if sensors != "xbus":  # which the page has without a word
+        patient, fault = [*patient, "--sensors", sensors], [*fault, "--sensors", sensors]
     with subprocess.Popen(
         patient, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as walking:

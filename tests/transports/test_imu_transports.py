@@ -304,3 +304,36 @@ def test_the_makers_library_carries_the_same() -> None:
         collect_samples([port], 500)
         assert port.counts["right_foot"].missing == 0
         port.close()
+
+
+def test_a_capture2go_is_read_through_drops_bad_reception_and_a_loss_of_power() -> None:
+    with spawn_imu("capture2go", rate_hz=200, offset_s=10.0, serial="1234ab") as handle:
+        (port,) = open_imus([settings("capture2go", handle.port, rate_hz=200.0)])
+        counts = port.counts["right_foot"]
+        assert port.serials == {"right_foot": "1234ab"}
+        signal = walking_signal("right_foot", 200.0)
+        began_ns = handle.t0_ns
+        found = collect_samples([port], 300)
+        for sample in found:
+            assert sample.t_device_ns < sample.t_host_ns < sample.t_device_ns + NS_PER_S  # it was set to this clock
+            acc_mps2, gyr_radps = signal.sample(round((sample.t_device_ns - began_ns) * 200 / NS_PER_S))
+            assert math.dist(sample.acc_mps2, acc_mps2) < 0.005  # a step has 0.0048 m/s²
+            assert math.dist(sample.gyr_radps, gyr_radps) < 0.002
+        assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, 0)
+        handle.inject("drop", 3)
+        handle.inject("garble", 2)
+        collect_until([port], lambda: counts.missing >= 5)
+        assert (counts.missing, counts.bad_frames >= 2) == (5, True)
+        handle.inject("backlog")
+        assert len(collect([port], 0.5)) < 20
+        told_ns = handle.inject("backlog", 0.0)
+        held = [sample for sample in collect([port], 0.2) if sample.t_device_ns < told_ns]
+        assert len(held) > 80
+        assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(held)} == {5_000_000}
+        handle.inject("reboot")
+        assert len(collect([port], 1.0)) < 40
+        port.reopen()
+        collect_samples([port], 50)
+        handle.inject("unplug")
+        assert "Check cable" in until_lost(port)
+        port.close()

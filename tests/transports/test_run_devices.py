@@ -22,6 +22,7 @@ from live_runs import (
     Bench,
     Button,
     LiveRun,
+    capture2go_and_p24,
     faults_named,
     live_run,
     lsl_and_can,
@@ -72,6 +73,7 @@ def faults_of(run: LiveRun) -> list[str]:
     [
         (ximu3_and_p24, "foot"),
         (ximu3_and_rehastim2, "foot"),
+        (capture2go_and_p24, "slow foot"),
         (xsens_can_and_can, "slow foot"),
         (shank_and_can, "shank"),
         pytest.param(
@@ -80,7 +82,14 @@ def faults_of(run: LiveRun) -> list[str]:
             marks=pytest.mark.skipif(not importlib.util.find_spec("pylsl"), reason="pylsl is not installed"),
         ),
     ],
-    ids=["ximu3 and p24", "ximu3 and rehastim2", "xsens and stimulator on one bus", "shank", "lsl"],
+    ids=[
+        "ximu3 and p24",
+        "ximu3 and rehastim2",
+        "capture2go and p24",
+        "xsens and stimulator on one bus",
+        "shank",
+        "lsl",
+    ],
 )
 def test_it_walks_stimulates_stops_and_replays(
     bench: Callable[[Path, Path, ExitStack], Bench], moves: str, recordings: Recordings, tmp_path: Path

@@ -171,7 +171,8 @@ class SimulatedImu(Device):
 
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """Bytes from the host."""
-        return self._wire.answer(data)
+        own_ns = self._device0_ns + round((t_ns - self._t0_ns) * (1.0 + self._drift))
+        return self._wire.answer(data, own_ns)
 
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
         """Bring a fault about, or with 0 end it. ValueError: no such fault, or none that this sensor can have."""
@@ -180,6 +181,9 @@ class SimulatedImu(Device):
                 f"fault {name!r} does not exist here: this sensor sends whole numbers, which have none. What it can do "
                 "instead: full (the end of its range) or mute (nothing)"
             )
+        if name in self._wire.faults and value >= 0:
+            self._wire.set_fault(name, value)
+            return []
         if name not in FAULTS or not math.isfinite(value):
             raise ValueError(f"fault {name!r} = {value!r} is not known; one of {', '.join(sorted(FAULTS))}")
         if name == "tap":
@@ -246,7 +250,7 @@ class SimulatedImu(Device):
             held_acc = _NAN
         if self._values.use_up("inf"):
             held_acc = held_gyr = _INF
-        return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
+        return Reading(self._counter, own_ns, held_acc, held_gyr, clipped, self.next_deadline_ns())
 
 
 def _pendulum(t_s: float) -> tuple[Vector3, Vector3]:

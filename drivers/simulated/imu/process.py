@@ -19,6 +19,7 @@ import can
 
 from drivers.simulated.imu import wire as wires
 from drivers.simulated.imu.device import SimulatedImu, recorded_signal, walking_signal
+from drivers.simulated.imu.serial_wires import SERIAL_WIRES, serial_wire
 from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, TcpEnd, UdpEnd
 from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
 from drivers.stimulator.bus import open_bus
@@ -75,8 +76,8 @@ class LslEnd(DeviceEnd):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the sensor until a signal ends it; exit status 2 when the settings are wrong."""
     parser = argparse.ArgumentParser(prog="imu_process", description="A simulated inertial sensor.")
-    parser.add_argument("--device", choices=("xbus", "ximu3", "xsens_can", "dbc_can", "lsl"), required=True)
-    parser.add_argument("--line", choices=("pty", "tcp", "udp"), default="pty", help="for xbus and ximu3")
+    parser.add_argument("--device", choices=(*SERIAL_WIRES, "xsens_can", "dbc_can", "lsl"), required=True)
+    parser.add_argument("--line", choices=("pty", "tcp", "udp"), default="pty", help="for serial sensors")
     parser.add_argument("--sensor", default="right_foot", help="whose movement (default %(default)s)")
     parser.add_argument("--recording", type=Path, help="play this instead of a simulated walk")
     parser.add_argument("--rate", type=float, default=100.0, help="Hz")
@@ -86,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--id-offset", type=int, default=0, help="for xsens_can")
     parser.add_argument("--options", default="{}", help="for dbc_can: the options of the session's settings, as JSON")
     parser.add_argument("--name", default="imu", help="of the LSL stream")
-    parser.add_argument("--serial", default=wires.SERIAL, help="number of an xbus sensor, as hex digits")
+    parser.add_argument("--serial", help="of an xbus sensor, 8 hex digits, or of a capture2go, 6 characters")
     parser.add_argument("--record", type=Path, help="where to put down, as JSON lines, when which sample was played")
     options = parser.parse_args(arguments)
     stop = stop_signals()
@@ -115,11 +116,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _line(options: argparse.Namespace) -> tuple[wires.Wire, DeviceEnd]:
     if options.device == "lsl":
         return wires.LslWire(), LslEnd(options.name, options.rate)
-    if options.device in ("xbus", "ximu3"):
+    if options.device in SERIAL_WIRES:
         ends: dict[str, type[PtyEnd | TcpEnd | UdpEnd]] = {"pty": PtyEnd, "tcp": TcpEnd, "udp": UdpEnd}
-        return wires.XbusWire(options.rate, options.serial) if options.device == "xbus" else wires.Ximu3Wire(), ends[
-            options.line
-        ]()
+        return serial_wire(options.device, options.rate, options.serial), ends[options.line]()
     xsens = options.device == "xsens_can"
     wire = wires.XsensCanWire(options.id_offset) if xsens else wires.DbcWire(json.loads(options.options))
     return wire, CanEnd(Bus.model_validate_json(options.bus or "{}"))

@@ -30,13 +30,14 @@ LONGEST: Final = 8  # bytes of a frame
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One sample by the device's own clock."""
+    """One sample by the device's own clock; ``t_true_ns`` is when it was taken, which no device knows."""
 
     counter: int
     t_device_ns: int
     acc_mps2: Vector3
     gyr_radps: Vector3
     clipped: bool = False
+    t_true_ns: int = 0
 
     @property
     def finite(self) -> bool:
@@ -48,21 +49,30 @@ SERIAL: Final = "037003F8"  # of a simulated MTi, unless it is given another
 
 
 class Wire(ABC):
-    """A kind of device. ``carries_nan``: it sends floating point, in which a value can be NaN or infinite."""
+    """A kind of device.
+
+    ``carries_nan``: it sends floating point, in which a value can be NaN or infinite. ``faults``: those that only this
+    kind can have.
+    """
 
     carries_nan = True
+    faults: frozenset[str] = frozenset()
 
     @abstractmethod
     def encode(self, reading: Reading) -> list[bytes]:
         """The messages of one sample."""
 
-    def answer(self, data: bytes) -> list[bytes]:
-        """The answers to the host: most kinds do not listen."""
+    def answer(self, data: bytes, t_device_ns: int) -> list[bytes]:
+        """The answers to the host at this time of the device's clock: most kinds do not listen."""
         return []
 
     def boot(self) -> list[bytes]:
         """What it sends when switched on."""
         return []
+
+    def set_fault(self, name: str, value: float) -> None:
+        """Bring one of its own ``faults`` about, or with 0 end it. ValueError: it has none of that name."""
+        raise ValueError(f"fault {name!r} is not one of this sensor's")
 
 
 class XbusWire(Wire):
@@ -85,7 +95,7 @@ class XbusWire(Wire):
         data += xbus.block(Xdi.STATUS_WORD, struct.pack(">I", CLIP_FLAGS if reading.clipped else 0))
         return [xbus.encode(Mid.MT_DATA2, data)]
 
-    def answer(self, data: bytes) -> list[bytes]:
+    def answer(self, data: bytes, t_device_ns: int) -> list[bytes]:
         """Acknowledge what an MTi acknowledges; error 04 for what it does not know, 03 for a rate it has not."""
         return [answer for message in self._decoder.feed(data) for answer in self._answers(message)]
 

@@ -6,12 +6,12 @@ import select
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 from drivers.imu.open import ON_CAN, open_imus
-from drivers.imu.port import ImuLost, ImuPort
+from drivers.imu.port import ImuLost, ImuPort, LineCounts
 from drivers.stimulator.bus import BusError, bus_name, open_bus
 from drivers.stimulator.can_codec import PROTOCOL_VERSION, Alive, FrameRejected, decode, fault_text
 from drivers.stimulator.open import open_stimulator
@@ -68,6 +68,7 @@ class Heard:
     host_ns: list[int] = field(default_factory=list)
     device_ns: list[int] = field(default_factory=list)
     missing: int = 0
+    clipped: int = 0
 
 
 def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]:
@@ -93,6 +94,9 @@ def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]
             lost, took_s = _listen(ports, heard, measure_s)
             for sensor, each in heard.items():
                 yield lost[sensor] if sensor in lost else judged(sensor, each, took_s)
+            for remark in (remark for port in ports if not set(port.sensors) & lost.keys() for remark in port.remarks):
+                sensor, _, said = remark.partition(": ")
+                yield warning(sensor, said, "see to it before the session; docs/imus.md says what it means")
     finally:
         for port in ports:
             port.close()
@@ -116,7 +120,7 @@ def _listen(ports: Sequence[ImuPort], heard: dict[str, Heard], measure_s: float)
     since_ns = now_ns = time.monotonic_ns()
     begin_ns = since_ns + int(SETTLE_S * NS_PER_S)
     end_ns = begin_ns + int(measure_s * NS_PER_S)
-    before: dict[str, int] = {}
+    before: dict[str, LineCounts] = {}
     lost: dict[str, Finding] = {}
     while now_ns < end_ns:
         counts = now_ns >= begin_ns
@@ -134,8 +138,9 @@ def _listen(ports: Sequence[ImuPort], heard: dict[str, Heard], measure_s: float)
                 each = heard[sample.sensor]
                 each.host_ns.append(read_ns)
                 each.device_ns.append(sample.t_device_ns)
-                missing = port.counts[sample.sensor].missing
-                each.missing = missing - before.setdefault(sample.sensor, missing)
+                now = port.counts[sample.sensor]
+                first = before.setdefault(sample.sensor, replace(now))
+                each.missing, each.clipped = now.missing - first.missing, now.clipped - first.clipped
         now_ns = time.monotonic_ns()
         since_ns = since_ns if counts else now_ns
     return lost, (now_ns - since_ns) / NS_PER_S
@@ -151,6 +156,7 @@ def judged(sensor: str, heard: Heard, measure_s: float) -> Finding:
     quiet_ns = max(later - earlier for earlier, later in zip(heard.host_ns, heard.host_ns[1:], strict=False))
     own_s, host_s = _elapsed_s(heard)
     said = f"{rate_hz:.1f} Hz, {heard.missing} lost, longest silence {quiet_ns / 1e6:.0f} ms"
+    said += f", {heard.clipped} at the end of their range" if heard.clipped else ""
     if abs(rate_hz - nominal_hz) > RATE_TOLERANCE * nominal_hz:
         remedy = f"set rate_hz = {rate_hz:.0f} if the sensor is meant to run so, or set the sensor to {nominal_hz:g} Hz"
         return failure(sensor, f"{said}; the settings say {nominal_hz:g} Hz", remedy)

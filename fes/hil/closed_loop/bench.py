@@ -99,18 +99,20 @@ def spawn_patient(
     cycle_s: tuple[float, float] | None = None,
     waits: bool = False,
     held: bool = False,
+    sensors: str = "xbus",
 ) -> PatientHandle:
     """Start ``python -m fes.hil.closed_loop.patient_process`` and wait until its time has begun.
 
     ``pulses``: the socket that the stimulator sends its pulses to; made by the patient. ``cycle_s``: walk and stand in
     turns, so many seconds each. ``waits``: stand until it is to walk. ``held``: its time begins with
-    :meth:`PatientHandle.begin`; until then its sensors are silent.
+    :meth:`PatientHandle.begin`; until then its sensors are silent. ``sensors``: which kind, one on a line of bytes.
 
     Raises:
         ImuLost: it ended, or was not ready in time.
     """
     arguments = ["--pulses", str(pulses), "--settings", json.dumps(asdict(settings))]
     arguments += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
+    arguments += ["--sensors", sensors]
     return PatientHandle([*arguments, *["--waits"] * waits, *["--held"] * held])
 
 
@@ -136,17 +138,18 @@ def start_patient_bench(
     tuning: str = "act",
     waits: bool = False,
     held: bool = False,
+    sensors: str = "xbus",
 ) -> PatientBench:
     """Start both, calibrate on a walk of the same patient, write the session file; ``stack`` ends the processes.
 
     The folder must exist. ``stimulator``: one of :data:`STIMULATORS`; ``current_ma``: to begin with; ``tuning``: off,
-    suggest or act; ``waits`` and ``held`` as for :func:`spawn_patient`.
+    suggest or act; ``waits``, ``held`` and ``sensors`` as for :func:`spawn_patient`.
 
     Raises:
         ImuLost, StimulatorLost: one does not start.
         CalibrationError: this patient's walk does not show enough to calibrate on.
     """
-    patient, calibration, pulses = _worn(settings, folder, stack, waits=waits, held=held)
+    patient, calibration, pulses = _worn(settings, folder, stack, waits=waits, held=held, sensors=sensors)
     record = folder / "stimulator.jsonl"
     kind = STIMULATORS[stimulator]
     device: NodeHandle | DeviceHandle
@@ -158,7 +161,7 @@ def start_patient_bench(
         where, bus = StimulatorDevice.model_validate({"device": stimulator, "port": device.port}), None
     stack.callback(device.stop)
     session = folder / SESSION_NAME
-    text = patient_session_text(settings, current_ma, tuning, patient.ports, where, bus)
+    text = patient_session_text(settings, current_ma, tuning, patient.ports, where, bus, sensors)
     session.write_text(text, encoding="utf-8")
     return PatientBench(settings, folder, session, calibration, patient, device)
 
@@ -191,14 +194,14 @@ class PatientSensor:
         return 0
 
 
-def campaign_patient(folder: Path, stack: ExitStack) -> tuple[PatientHandle, Path, Path]:
+def campaign_patient(folder: Path, stack: ExitStack, sensors: str = "xbus") -> tuple[PatientHandle, Path, Path]:
     """A patient who walks and stands in turns, the calibration of its sensor, and the socket for its pulses.
 
     Raises:
         ImuLost: it does not start.
     """
     settings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
-    return _worn(settings, folder, stack, cycle_s=CYCLE_S)
+    return _worn(settings, folder, stack, cycle_s=CYCLE_S, sensors=sensors)
 
 
 def _worn(
@@ -209,11 +212,12 @@ def _worn(
     cycle_s: tuple[float, float] | None = None,
     waits: bool = False,
     held: bool = False,
+    sensors: str = "xbus",
 ) -> tuple[PatientHandle, Path, Path]:
     calibration = folder / "patient.calibration.json"
     save(patient_calibration(settings), calibration)
     # a socket's name may have 107 bytes, less than many a folder's
     pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
-    patient = spawn_patient(pulses, settings, cycle_s=cycle_s, waits=waits, held=held)
+    patient = spawn_patient(pulses, settings, cycle_s=cycle_s, waits=waits, held=held, sensors=sensors)
     stack.callback(patient.stop)
     return patient, calibration, pulses

@@ -1,7 +1,7 @@
 """A virtual patient as a process of its own: ``python -m fes.hil.closed_loop.patient_process --pulses SOCKET``.
 
 It stands between the stimulator and the sensors: pulses that a simulated stimulator has delivered come in over the
-socket, and each worn sensor speaks Xbus on a pseudo-terminal of its own. It keeps real time by absolute deadlines and
+socket, and each worn sensor speaks on a pseudo-terminal of its own. It keeps real time by absolute deadlines and
 counts how late it was. It says in one JSON line how its sensors are reached, then a line ``{"stride": …}`` for each
 stride of the affected foot, and at the end ``{"summary": …}``. On stdin it takes JSON lines, each confirmed:
 
@@ -28,8 +28,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from drivers.simulated.imu.capture2go import Air
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.wire import XbusWire
+from drivers.simulated.imu.serial_wires import SERIAL_WIRES, serial_wire
 from drivers.simulated.lines import LINE_FAULTS, LineFaults, PtyEnd
 from drivers.simulated.process_end import STDIN, CommandReader, become_real_time, publish_ready, stop_signals
 from drivers.simulated.record import Pulse, PulseInlet
@@ -68,7 +69,8 @@ class PatientDevice:
     """Call :meth:`advance` at every deadline, and :meth:`receive` for bytes from the host to a sensor.
 
     Its time begins at the host's ``start_ns``, :data:`HELD`: with :meth:`begin`. ``cycle_s``: walk and stand in turns,
-    so many seconds each; None: walk on after ``settings.stand_s``. ``waits``: stand until it is to walk.
+    so many seconds each; None: walk on after ``settings.stand_s``. ``waits``: stand until it is to walk. ``sensors``:
+    which kind of sensor is worn.
     """
 
     def __init__(
@@ -78,7 +80,9 @@ class PatientDevice:
         *,
         cycle_s: tuple[float, float] | None = None,
         waits: bool = False,
+        sensors: str = "xbus",
     ) -> None:
+        self._kind, self._air = sensors, Air()
         self.patient = VirtualPatient(settings, remember_s=REMEMBERED_S)
         self.counts = Punctuality()
         self.held = False  # one who walks in turns: stand, once the steps are finished, for as long as this holds
@@ -99,7 +103,7 @@ class PatientDevice:
     def _imu(self, settings: PatientSettings, felt: ImuSignal) -> SimulatedImu:
         imu = settings.imu
         return SimulatedImu(
-            XbusWire(settings.rate_hz),
+            serial_wire(self._kind, settings.rate_hz, air=self._air),
             felt,
             self._start_ns + self._step_ns,
             acc_range_g=(imu.acc_range_mps2 or 16.0 * G_MPS2) / G_MPS2,
@@ -269,11 +273,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cycle", type=float, nargs=2, metavar=("WALK_S", "STAND_S"), help="walk and stand in turns")
     parser.add_argument("--waits", action="store_true", help="stand until it is to walk")
     parser.add_argument("--held", action="store_true", help="its time begins with a command, not at once")
+    parser.add_argument("--sensors", choices=SERIAL_WIRES, default="xbus", help="which kind is worn")
     options = parser.parse_args(arguments)
     stop = stop_signals()
     try:
         settings = from_plain(json.loads(options.settings))
-        PatientDevice(settings, 0).advance(NS_PER_S, [])  # everything compiled before time begins
+        PatientDevice(settings, 0, sensors=options.sensors).advance(
+            NS_PER_S, []
+        )  # everything compiled before time begins
         inlet = PulseInlet(options.pulses)
     except (ValueError, TypeError, OSError) as error:
         print(f"patient_process: {error}", file=sys.stderr)
@@ -282,7 +289,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     worn = [sensor for sensor in SENSORS if sensor in settings.sensors]
     real_time = become_real_time()
     start_ns = HELD if options.held else time.monotonic_ns()
-    device = PatientDevice(settings, start_ns, cycle_s=cycle_s, waits=options.waits)
+    device = PatientDevice(settings, start_ns, cycle_s=cycle_s, waits=options.waits, sensors=options.sensors)
     loop = PatientLoop(device, worn, inlet, stop.fileno())
     publish_ready(ports={sensor: end.port for sensor, end in loop.ends.items()}, start_ns=start_ns, real_time=real_time)
     try:

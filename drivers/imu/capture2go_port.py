@@ -1,0 +1,198 @@
+"""A SensorStim Capture2Go on its USB line: configures it, then turns its packages into samples.
+
+It sends one sample a package (packed ones would wait for eight), without magnetometer, at 200, 100, 50 or 25 Hz.
+Options: ``baudrate`` (115200; a USB line has none, the setting is for adapters), ``sync`` ("none", "sender",
+"receiver": whose clock it follows by radio) and ``sync_id``, a number that sender and receivers share and nobody else
+nearby has.
+"""
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Final
+
+from drivers.imu import capture2go_codec as c2g
+from drivers.imu.capture2go_codec import Flags, Header, Package, SensorState, SyncMode
+from drivers.imu.line import ByteLine
+from drivers.imu.port import NOT_A_NUMBER, ImuLost, OneSensorPort, text_option, whole_option
+from fes.config import ImuDevice
+from fes.signals import NS_PER_S, RawSample
+
+ANSWER_S: Final = 0.5
+TRIES: Final = 3
+STATUS_EVERY_S: Final = 1
+LOW_BATTERY_PERCENT: Final = 15
+RATES_HZ: Final = (200, 100, 50, 25)
+SYNC: Final = {"none": SyncMode.NONE, "sender": SyncMode.SENDER, "receiver": SyncMode.RECEIVER}
+
+
+class Capture2GoPort(OneSensorPort):
+    """What is the same over every line: the opening, the flags, what the sensor says of itself.
+
+    Raises:
+        ValueError: a rate or range that the sensor has not, or an option that is not what it must be.
+        ImuLost: no such line, or no Capture2Go answers on it.
+    """
+
+    def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._clock_ns = clock_ns
+        self._rate_hz = round(device.rate_hz)
+        if device.rate_hz not in RATES_HZ:
+            rates = ", ".join(map(str, RATES_HZ))
+            raise ValueError(f"{device.sensor}: rate_hz = {device.rate_hz:g}: a Capture2Go has {rates}")
+        if device.acc_range_g > c2g.ACC_RANGE_G or device.gyr_range_dps > c2g.GYR_RANGE_DPS:
+            has = f"acc_range_g = {c2g.ACC_RANGE_G:g} and gyr_range_dps = {c2g.GYR_RANGE_DPS:g}"
+            raise ValueError(f"{device.sensor}: a Capture2Go measures no more than {has}")
+        sync = text_option(device, "sync", "none")
+        if sync not in SYNC:
+            raise ValueError(f"{device.sensor}: options.sync = {sync!r} must be one of {', '.join(SYNC)}")
+        self._sync = SYNC[sync]
+        self._sync_id = whole_option(device, "sync_id", 0, 0)
+        if bool(self._sync_id) != bool(self._sync):
+            raise ValueError(f"{device.sensor}: options.sync and options.sync_id (not 0) need each other")
+        fixed, without_magnetometer = f"DATA_FULL_FIXED_{self._rate_hz}HZ", f"DATA_FULL_6D_FIXED_{self._rate_hz}HZ"
+        self._wanted = frozenset((Header[fixed], Header[without_magnetometer]))
+        super().__init__(device)
+
+    @abstractmethod
+    def _send(self, package: bytes) -> None:
+        """Hand over one package now. ImuLost: the line broke."""
+
+    @abstractmethod
+    def _receive(self) -> list[Package]:
+        """What has come; never waits. ImuLost: the line broke."""
+
+    @abstractmethod
+    def _wait(self, seconds: float) -> None:
+        """Until something comes, but no longer."""
+
+    @property
+    @abstractmethod
+    def _name(self) -> str:
+        """Of sensor and line, for messages."""
+
+    @property
+    def remarks(self) -> list[str]:
+        """Battery, clock, and what its flags have said since it was first opened."""
+        name, status, counts = self._device.sensor, self._status, self._counts
+        battery = int(status.get("battery", c2g.CHARGING))  # type: ignore[arg-type]
+        alone = self._sync == SyncMode.RECEIVER and not status.get("synchronized", True)
+        said = {
+            f"{name}: its battery is below {LOW_BATTERY_PERCENT} %": battery < LOW_BATTERY_PERCENT,
+            f"{name}: hears no clock of its sender; its stamps drift from the others'": alone,
+            f"{name}: its flags tell of gaps in its stamps": counts.time_gaps > 0,
+            f"{name}: its flags tell that its processing failed; those samples count as faulty": counts.unsound > 0,
+        }
+        return [text for text, holds in said.items() if holds]
+
+    # --- opening ----------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Over an open line: who is there, its clock, its outputs, its start. ImuLost: it refuses or is silent."""
+        self._status: Mapping[str, c2g.Value] = {}
+        self._expect_samples()
+        info = self._ask(Header.CMD_GET_DEVICE_INFO, {}, Header.DATA_DEVICE_INFO)
+        self.serials = {self._device.sensor: bytes(info["serial"]).decode("ascii", "replace")}  # type: ignore[arg-type]
+        state = self._ask(Header.CMD_GET_STATUS, {}, Header.DATA_STATUS)["sensorState"]
+        if state == SensorState.RECORDING:
+            raise ImuLost(f"{self._name}: records to its own storage; end that recording first")
+        if state == SensorState.STREAMING:
+            stop = Header.CMD_STOP_STREAMING_AND_CLEAR_BUFFER  # what has queued up there is of no use any more
+            self._ask(stop, {}, Header.ACK_STOP_STREAMING_AND_CLEAR_BUFFER)
+        if self._sync != SyncMode.RECEIVER:  # a receiver takes its sender's
+            # the host's monotonic clock: set again while others go on, it jumps by no more than it had drifted
+            self._ask(Header.CMD_SET_ABSOLUTE_TIME, {"newTimestamp": self._clock_ns()}, Header.DATA_ABSOLUTE_TIME)
+        mode = {
+            "fullFixedMode": c2g.SAMPLING_MODES[self._rate_hz],
+            "statusMode": STATUS_EVERY_S,
+            "syncMode": int(self._sync),
+            "syncId": self._sync_id,
+            "disableMagData": True,
+        }
+        given = self._ask(Header.CMD_SET_MEASUREMENT_MODE, mode, Header.DATA_MEASUREMENT_MODE)
+        if other := sorted(name for name, value in mode.items() if given[name] != value):
+            raise ImuLost(f"{self._name}: does not take {', '.join(other)} as asked for")
+        self._ask(Header.CMD_START_STREAMING, {}, Header.ACK_START_STREAMING)
+
+    def _ask(self, command: Header, fields: Mapping[str, c2g.Value], wanted: Header) -> dict[str, c2g.Value]:
+        """The fields of the answer. ImuLost: an error comes back, or nothing."""
+        for _ in range(TRIES):
+            self._send(c2g.pack(command, fields))
+            deadline_ns = self._clock_ns() + int(ANSWER_S * NS_PER_S)
+            while (left_ns := deadline_ns - self._clock_ns()) > 0:
+                self._wait(left_ns / NS_PER_S)
+                for package in self._receive():
+                    if package.header == Header.ERROR and (said := c2g.unpack(package))["command"] == command:
+                        code = int(said["errorCode"])  # type: ignore[arg-type]
+                        why = c2g.ERRORS.get(code, "unknown error")
+                        raise ImuLost(f"{self._name}: refuses {command.name}: {why} (0x{code:02x})")
+                    if package.header == wanted:
+                        return c2g.unpack(package)
+        raise ImuLost(f"{self._name}: no Capture2Go answers to {command.name}. Is it one, and switched on?")
+
+    def _end(self) -> None:
+        """It need not send to nobody; a line that is gone takes no leave."""
+        with suppress(ImuLost):
+            self._send(c2g.pack(Header.CMD_STOP_STREAMING))
+
+    # --- samples ----------------------------------------------------------------------------------------
+
+    def read(self, t_ns: int) -> list[RawSample]:
+        """All samples that have come; those whose processing failed without values, so that the gate refuses them."""
+        found: list[RawSample] = []
+        for package in self._receive():
+            if package.header in self._wanted:
+                found += [self._converted(t_ns, sample) for sample in c2g.samples(package)]
+            elif package.header == Header.DATA_STATUS:
+                self._status = c2g.unpack(package)
+                if self._status["sensorState"] != SensorState.STREAMING:
+                    raise ImuLost(f"{self._name}: has stopped streaming by itself")
+        return found
+
+    def _converted(self, t_ns: int, sample: c2g.Sample) -> RawSample:
+        flags, counts = sample.flags, self._counts
+        counts.clipped += bool(flags & (Flags.ACC_CLIPPING | Flags.GYR_CLIPPING))
+        counts.time_gaps += bool(flags & Flags.TIME_GAP)
+        if flags & Flags.PROCESSING_ISSUE:
+            counts.unsound += 1
+            return self._sample(t_ns, sample.t_ns, NOT_A_NUMBER, NOT_A_NUMBER)
+        return self._sample(t_ns, sample.t_ns, sample.acc_mps2, sample.gyr_radps)
+
+
+class Capture2GoImu(Capture2GoPort):
+    """:class:`~drivers.imu.port.ImuPort` for one Capture2Go on its USB line."""
+
+    _line: ByteLine
+
+    def _open(self) -> None:
+        self._decoder = c2g.Capture2GoDecoder(self._counts)
+        baudrate = whole_option(self._device, "baudrate", 115200, 1)
+        self._line = ByteLine(self._device.sensor, self._device.port, baudrate)
+        try:
+            self._begin()
+        except ImuLost:
+            self._line.close()
+            raise
+
+    def _send(self, package: bytes) -> None:
+        self._line.write(package)
+
+    def _receive(self) -> list[Package]:
+        return self._decoder.feed(self._line.read())
+
+    def _wait(self, seconds: float) -> None:
+        self._line.wait(seconds)
+
+    @property
+    def _name(self) -> str:
+        return self._line.name
+
+    def fileno(self) -> int:
+        """The line's descriptor."""
+        return self._line.fileno()
+
+    def close(self) -> None:
+        """Stop it and release the line."""
+        self._end()
+        self._line.close()

@@ -1,0 +1,187 @@
+"""How a simulated Capture2Go answers, and says a sample; no I/O, no clock.
+
+It shares no code and no constant with the driver's codec, so that the two check each other. It is silent until it was
+asked who it is, streams when it is told to, and after a loss of power it is idle: whoever wants samples begins anew.
+Every second it sends its status. The clock is set by the host, or comes from a sender of the same ``air``. Its own
+faults: ``deaf`` (1: hears no sender, and its clock goes on alone), ``unsound`` (so many of the next samples have the
+flag that their processing failed).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import Final
+
+from drivers.simulated.imu.wire import Reading, Wire
+from drivers.simulated.lines import FaultValues
+from fes.signals import NS_PER_S
+
+MODES: Final = {1: 200, 2: 100, 3: 50, 4: 25}  # fullFixedMode: Hz
+IDLE, STREAMING = 1, 2
+TIME_GAP, CLIPPED, UNSOUND = 0x01, 0x06, 0x10  # CLIPPED: gyroscope or accelerometer, which is not told apart here
+WRONG_STATE, PACKAGE_ERROR, UNKNOWN_COMMAND = 0xFB, 0xFC, 0xFD
+SENDS, RECEIVES = 1, 2
+HEAD: Final = 8
+PER_G_MPS2: Final = 9.81  # of its scale: 2048 steps a g
+MODE: Final = struct.Struct("<qBBBBBBBBHBQBBB")
+SAMPLE: Final = struct.Struct("<q3h3hQhB")
+WITH_MAGNETOMETER: Final = struct.Struct("<q3h3h3hQhB")
+
+
+@dataclass
+class Air:
+    """What sensors hear of each other by radio: by a sender's number when it last spoke, in truth and by its clock."""
+
+    heard_ns: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+
+class Capture2GoWire(Wire):
+    """A sensor of this rate; ``air`` is shared by those that can hear each other. ``serial``: 6 characters count.
+
+    Raises:
+        ValueError: a rate that it has not.
+    """
+
+    carries_nan = False
+    faults = frozenset(("deaf", "unsound"))
+
+    def __init__(self, rate_hz: float, air: Air | None, serial: str) -> None:
+        if rate_hz not in MODES.values():
+            raise ValueError(f"{rate_hz:g} Hz: a Capture2Go has {', '.join(map(str, MODES.values()))}")
+        self._rate_hz, self._air, self._serial = round(rate_hz), air or Air(), serial
+        self._faults = FaultValues(dict.fromkeys(self.faults, 0.0))
+        self._switched_on()
+
+    def _switched_on(self) -> None:
+        self._buffer = b""
+        self._asked = self._streams = False
+        self._mode = bytes(MODE.size)
+        self._set_ns = 0  # what its clock was set ahead by
+        self._status_ns: int | None = None
+        self._due_ns: int | None = None
+
+    def set_fault(self, name: str, value: float) -> None:
+        """One of its own."""
+        self._faults[name] = value
+
+    def boot(self) -> list[bytes]:
+        """Nothing, until it is asked."""
+        part, number = self._sync
+        if part == SENDS:
+            self._air.heard_ns.pop(number, None)
+        self._switched_on()
+        return []
+
+    @property
+    def _sync(self) -> tuple[int, int]:
+        """Its part (0, SENDS, RECEIVES), and the number that goes with it."""
+        fields = MODE.unpack(self._mode)
+        return fields[10], fields[11]
+
+    def _keep_in_step(self, reading: Reading) -> None:
+        """A sender says its time with every sample; a receiver sets its own clock by that."""
+        part, number = self._sync
+        if part == SENDS:
+            self._air.heard_ns[number] = reading.t_true_ns, reading.t_device_ns + self._set_ns
+        elif part == RECEIVES and self._in_step:
+            then_ns, stamp_ns = self._air.heard_ns[number]
+            self._set_ns = stamp_ns + reading.t_true_ns - then_ns - reading.t_device_ns
+
+    @property
+    def _in_step(self) -> bool:
+        part, number = self._sync
+        return part == SENDS or (part == RECEIVES and not self._faults["deaf"] and number in self._air.heard_ns)
+
+    # --- samples ----------------------------------------------------------------------------------------
+
+    def encode(self, reading: Reading) -> list[bytes]:
+        """One package, and every second the status; nothing while it does not stream."""
+        fixed = MODE.unpack(self._mode)[2]
+        if not self._streams or MODES.get(fixed) != self._rate_hz or not reading.finite:
+            return []
+        self._keep_in_step(reading)
+        t_ns = reading.t_device_ns + self._set_ns
+        gap = self._due_ns is not None and abs(t_ns - self._due_ns) > NS_PER_S // self._rate_hz // 2
+        self._due_ns = t_ns + NS_PER_S // self._rate_hz
+        flags = TIME_GAP * gap | CLIPPED * reading.clipped | UNSOUND * self._faults.use_up("unsound")
+        gyr = _steps([math.degrees(rate) * 32768 / 2000 for rate in reading.gyr_radps])
+        acc = _steps([force * 2048 / PER_G_MPS2 for force in reading.acc_mps2])
+        if self._mode[-1]:
+            out = [package(0x0250 + fixed, SAMPLE.pack(t_ns, *gyr, *acc, 0, 0, flags))]
+        else:
+            out = [package(0x0240 + fixed, WITH_MAGNETOMETER.pack(t_ns, *gyr, *acc, 0, 0, 0, 0, 0, flags))]
+        every_s = MODE.unpack(self._mode)[7]
+        if self._status_ns is None or not 0 <= t_ns - self._status_ns < every_s * NS_PER_S:
+            self._status_ns = t_ns
+            out += [self._status(reading.t_device_ns)] if every_s else []
+        return out
+
+    def _status(self, t_device_ns: int) -> bytes:
+        state, usb = STREAMING if self._streams else IDLE, 3
+        fields = (t_device_ns + self._set_ns, state, usb, 0, 0, 0, self._in_step, 0x80 | 93, 88)
+        return package(0x0201, struct.pack("<qBB3hBBB", *fields))
+
+    # --- commands ---------------------------------------------------------------------------------------
+
+    def answer(self, data: bytes, t_device_ns: int) -> list[bytes]:
+        """What its firmware answers; to nothing before it was asked who it is."""
+        self._buffer += data
+        out: list[bytes] = []
+        while (start := self._buffer.find(b"\x02")) >= 0:
+            self._buffer = self._buffer[start:]
+            if len(self._buffer) < HEAD or len(self._buffer) < HEAD + self._buffer[5]:
+                break
+            end = HEAD + self._buffer[5]
+            body, crc = self._buffer[6:end], self._buffer[1:5]
+            if zlib.crc32(body) != int.from_bytes(crc, "little"):
+                out += [package(0xFFFF, struct.pack("<BH", PACKAGE_ERROR, 0xFFFF))] if self._asked else []
+                self._buffer = self._buffer[1:]
+                continue
+            self._buffer = self._buffer[end:]
+            header, payload = int.from_bytes(body[:2], "little"), body[2:]
+            self._asked = self._asked or header == 0x0070
+            out += self._answers(header, payload, t_device_ns) if self._asked else []
+        return out
+
+    def _answers(self, header: int, payload: bytes, t_device_ns: int) -> list[bytes]:
+        match header:
+            case 0x0070:
+                texts = (self._serial, "sim", "1", "1.0.1", "2026-04-02")
+                info = struct.pack("<H6s8s8s12s11s", 1, *(text.encode("ascii") for text in texts))
+                return [package(0x0071, info), self._status(t_device_ns)]
+            case 0x0120 if len(payload) == MODE.size:
+                self._mode = payload
+                return [package(0x0122, payload)]
+            case 0x0170 if len(payload) == 8:
+                self._set_ns = int.from_bytes(payload, "little", signed=True) - t_device_ns
+                return [package(0x0171, payload)]
+            case 0x0150:
+                if self._streams:
+                    return [_error(WRONG_STATE, header)]
+                self._streams, self._due_ns = True, None
+                return [package(0x0151)]
+            case 0x0152 | 0x0158:
+                self._streams = False
+                return [package(header + 1)]
+            case 0x0121:
+                return [package(0x0122, self._mode)]
+            case 0x0200:
+                return [self._status(t_device_ns)]
+        return [_error(UNKNOWN_COMMAND, header)]
+
+
+def package(header: int, payload: bytes = b"") -> bytes:
+    """Start byte, checksum, size, header, payload."""
+    body = header.to_bytes(2, "little") + payload
+    return b"\x02" + zlib.crc32(body).to_bytes(4, "little") + bytes((len(payload),)) + body
+
+
+def _error(code: int, header: int) -> bytes:
+    return package(0xFFFF, struct.pack("<BH", code, header))
+
+
+def _steps(values: list[float]) -> tuple[int, ...]:
+    return tuple(round(min(max(value, -32768), 32767)) for value in values)
