@@ -35,6 +35,9 @@ class Capture2GoPort(OneSensorPort):
         ImuLost: no such line, or no Capture2Go answers on it.
     """
 
+    mode_field = "fullFixedMode"
+    kinds: tuple[str, ...] = ("FULL_FIXED", "FULL_6D_FIXED")  # of packages with samples
+
     def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._clock_ns = clock_ns
         self._rate_hz = round(device.rate_hz)
@@ -51,8 +54,7 @@ class Capture2GoPort(OneSensorPort):
         self._sync_id = whole_option(device, "sync_id", 0, 0)
         if bool(self._sync_id) != bool(self._sync):
             raise ValueError(f"{device.sensor}: options.sync and options.sync_id (not 0) need each other")
-        fixed, without_magnetometer = f"DATA_FULL_FIXED_{self._rate_hz}HZ", f"DATA_FULL_6D_FIXED_{self._rate_hz}HZ"
-        self._wanted = frozenset((Header[fixed], Header[without_magnetometer]))
+        self._wanted = frozenset(Header[f"DATA_{kind}_{self._rate_hz}HZ"] for kind in self.kinds)
         super().__init__(device)
 
     @abstractmethod
@@ -103,8 +105,8 @@ class Capture2GoPort(OneSensorPort):
         if self._sync != SyncMode.RECEIVER:  # a receiver takes its sender's
             # the host's monotonic clock: set again while others go on, it jumps by no more than it had drifted
             self._ask(Header.CMD_SET_ABSOLUTE_TIME, {"newTimestamp": self._clock_ns()}, Header.DATA_ABSOLUTE_TIME)
-        mode = {
-            "fullFixedMode": c2g.SAMPLING_MODES[self._rate_hz],
+        mode: dict[str, c2g.Value] = {
+            self.mode_field: c2g.SAMPLING_MODES[self._rate_hz],
             "statusMode": STATUS_EVERY_S,
             "syncMode": int(self._sync),
             "syncId": self._sync_id,

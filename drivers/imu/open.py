@@ -8,6 +8,7 @@ from drivers.imu.port import AXES, ImuLost, ImuPort, flag_option
 from fes.config import Bus, ImuDevice
 from fes.extensions import ExtensionError, load_extension
 
+WITHOUT_LINE = ("lsl", "capture2go_ble")  # whose port is no line of this computer
 ON_CAN = ("xsens_can", "dbc_can")
 OPTIONS = {
     "xbus": ("baudrate", "configure"),
@@ -15,6 +16,7 @@ OPTIONS = {
     "dbc_can": ("dbc", *AXES, "time", "counter", "acc_unit", "gyr_unit", "time_unit", "id_offset"),
     "ximu3": ("baudrate", "library"),
     "capture2go": ("baudrate", "sync", "sync_id"),
+    "capture2go_ble": ("sync", "sync_id", "find_s"),
     "lsl": (*AXES, "acc_unit", "gyr_unit", "timeout_s"),
 }  # that each kind of device has
 
@@ -88,6 +90,10 @@ def _open_alone(device: ImuDevice) -> ImuPort:
         from drivers.imu.capture2go_port import Capture2GoImu
 
         return Capture2GoImu(device)
+    if device.device == "capture2go_ble":
+        from drivers.imu.capture2go_ble import Capture2GoBle
+
+        return Capture2GoBle(device)
     from drivers.imu.lsl_port import LslImu
 
     return LslImu(device)

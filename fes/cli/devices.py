@@ -9,7 +9,7 @@ import click
 from drivers.discover import CanChannel, LslStream, SerialPort, can_channels, lsl_streams, serial_ports
 from fes.cli.common.exits import FAILED, failing
 from fes.cli.common.options import PATH, not_there
-from fes.config import Bus, ConfigError, Session, load_session
+from fes.config import WIRELESS, Bus, ConfigError, Session, load_session
 
 ON_CAN = ("xsens_can", "dbc_can", "can", "canopen")
 
@@ -64,6 +64,8 @@ def wanted_by(session: Session, connected: Connected) -> list[Wanted]:
         name, port = str(sensor.sensor), sensor.port
         if sensor.device == "lsl":
             wanted.append(_stream(name, port, connected))
+        elif sensor.device in WIRELESS:
+            wanted.append(Wanted(name, port, None, "a sensor by radio; it is only known once it is looked for"))
         elif sensor.device in ON_CAN:
             interface, _, channel = port.partition(":")
             bus = session.bus if port == "bus" else Bus(interface=interface, channel=channel)

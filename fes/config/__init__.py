@@ -4,6 +4,7 @@ from fes.config.base import PHASE_ORDER, ConfigError, Foot, Phase, Positive, Set
 from fes.config.channel import Channel, ChannelLimits, Stimulation
 from fes.config.session import (
     STEEPEST_PERCENT,
+    WIRELESS,
     Bus,
     Exercise,
     FootGeometry,
@@ -20,7 +21,7 @@ from fes.config.session import (
 from fes.config.tuning import Band, Bounds, Tuning
 
 __all__ = [
-    "PHASE_ORDER", "STEEPEST_PERCENT", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise",
+    "PHASE_ORDER", "STEEPEST_PERCENT", "WIRELESS", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise",
     "Foot", "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation",
     "StimulatorDevice", "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml",
     "refuse_blind_targets", "validate_session",

@@ -23,7 +23,8 @@ from fes.config.thresholds import Value, check_thresholds
 
 STEEPEST_PERCENT: Final = 25.0  # steeper than any treadmill goes
 Options = dict[str, str | int | float | bool]
-IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "capture2go", "lsl")
+IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "capture2go", "capture2go_ble", "lsl")
+WIRELESS: Final = ("capture2go_ble",)
 STIMULATORS: Final = ("can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen")
 
 
@@ -207,6 +208,17 @@ class Session(Settings):
     @model_validator(mode="after")
     def _thresholds_are_known_and_near_the_usual(self) -> Self:
         check_thresholds(self.thresholds)
+        return self
+
+    @model_validator(mode="after")
+    def _nobody_is_stimulated_by_radio(self) -> Self:
+        for device in self.sensors if self.channels else ():
+            if device.device in WIRELESS:
+                raise ValueError(
+                    f"{device.sensor}: device {device.device!r} is wireless: how old its samples are when they come is "
+                    "not known, so it may record, but no channel may be stimulated beside it; leave out [[channels]], "
+                    "or use the sensor's cable"
+                )
         return self
 
     @model_validator(mode="after")

@@ -9,7 +9,9 @@ flag that their processing failed).
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 import struct
 import zlib
 from dataclasses import dataclass, field
@@ -28,6 +30,8 @@ HEAD: Final = 8
 PER_G_MPS2: Final = 9.81  # of its scale: 2048 steps a g
 MODE: Final = struct.Struct("<qBBBBBBBBHBQBBB")
 SAMPLE: Final = struct.Struct("<q3h3hQhB")
+PACKED: Final = struct.Struct("<q24h24hQhB")
+PACKED_SAMPLES: Final = 8
 WITH_MAGNETOMETER: Final = struct.Struct("<q3h3h3hQhB")
 
 
@@ -62,6 +66,7 @@ class Capture2GoWire(Wire):
         self._set_ns = 0  # what its clock was set ahead by
         self._status_ns: int | None = None
         self._due_ns: int | None = None
+        self._packed: list[tuple[int, list[int], list[int], int]] = []
 
     def set_fault(self, name: str, value: float) -> None:
         """One of its own."""
@@ -98,9 +103,9 @@ class Capture2GoWire(Wire):
     # --- samples ----------------------------------------------------------------------------------------
 
     def encode(self, reading: Reading) -> list[bytes]:
-        """One package, and every second the status; nothing while it does not stream."""
-        fixed = MODE.unpack(self._mode)[2]
-        if not self._streams or MODES.get(fixed) != self._rate_hz or not reading.finite:
+        """A package, or every eighth time one of eight; every second the status. Nothing while it does not stream."""
+        fixed, packed = MODE.unpack(self._mode)[2:4]
+        if not self._streams or self._rate_hz not in (MODES.get(fixed), MODES.get(packed)) or not reading.finite:
             return []
         self._keep_in_step(reading)
         t_ns = reading.t_device_ns + self._set_ns
@@ -109,7 +114,10 @@ class Capture2GoWire(Wire):
         flags = TIME_GAP * gap | CLIPPED * reading.clipped | UNSOUND * self._faults.use_up("unsound")
         gyr = _steps([math.degrees(rate) * 32768 / 2000 for rate in reading.gyr_radps])
         acc = _steps([force * 2048 / PER_G_MPS2 for force in reading.acc_mps2])
-        if self._mode[-1]:
+        if MODES.get(packed) == self._rate_hz:
+            self._packed.append((t_ns, list(gyr), list(acc), flags))
+            out = self._eight(packed) if len(self._packed) == PACKED_SAMPLES else []
+        elif self._mode[-1]:
             out = [package(0x0250 + fixed, SAMPLE.pack(t_ns, *gyr, *acc, 0, 0, flags))]
         else:
             out = [package(0x0240 + fixed, WITH_MAGNETOMETER.pack(t_ns, *gyr, *acc, 0, 0, 0, 0, 0, flags))]
@@ -118,6 +126,14 @@ class Capture2GoWire(Wire):
             self._status_ns = t_ns
             out += [self._status(reading.t_device_ns)] if every_s else []
         return out
+
+    def _eight(self, mode: int) -> list[bytes]:
+        """The eight that are kept, without magnetometer, by the stamp of the first and the flags of all."""
+        rates = [step for _, gyr, _, _ in self._packed for step in gyr]
+        forces = [step for _, _, acc, _ in self._packed for step in acc]
+        flags = functools.reduce(operator.or_, (flags for *_, flags in self._packed))
+        t_ns, self._packed = self._packed[0][0], []
+        return [package(0x0230 + mode, PACKED.pack(t_ns, *rates, *forces, 0, 0, flags))]
 
     def _status(self, t_device_ns: int) -> bytes:
         state, usb = STREAMING if self._streams else IDLE, 3
@@ -161,7 +177,7 @@ class Capture2GoWire(Wire):
             case 0x0150:
                 if self._streams:
                     return [_error(WRONG_STATE, header)]
-                self._streams, self._due_ns = True, None
+                self._streams, self._due_ns, self._packed = True, None, []
                 return [package(0x0151)]
             case 0x0152 | 0x0158:
                 self._streams = False

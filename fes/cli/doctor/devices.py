@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from drivers.imu.open import ON_CAN, open_imus
+from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
 from drivers.imu.port import ImuLost, ImuPort, LineCounts
 from drivers.stimulator.bus import BusError, bus_name, open_bus
 from drivers.stimulator.can_codec import PROTOCOL_VERSION, Alive, FrameRejected, decode, fault_text
@@ -81,7 +81,9 @@ def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]
         lines.setdefault((kind, device.port), []).append(device)
     try:
         for group in lines.values():
-            if group[0].device not in (*ON_CAN, "lsl") and (fault := port_fault(str(group[0].sensor), group[0].port)):
+            if group[0].device not in (*ON_CAN, *WITHOUT_LINE) and (
+                fault := port_fault(str(group[0].sensor), group[0].port)
+            ):
                 yield fault
                 continue
             try:

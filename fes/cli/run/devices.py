@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from drivers.imu.open import ON_CAN, open_imus
+from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
 from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
 from fes.cli.common.exits import Problem, failing
@@ -115,6 +115,6 @@ def stop_switch_settings(text: str) -> Switch:
 
 def serial_ports_of(session: Session) -> list[str]:
     """The serial ports that the session's sensors and stimulator are on, each once."""
-    ports = [each.port for each in session.sensors if each.device not in (*ON_CAN, "lsl")]
+    ports = [each.port for each in session.sensors if each.device not in (*ON_CAN, *WITHOUT_LINE)]
     ports += [session.stimulator.port] if session.stimulator.device not in ("can", "canopen") else []
     return list(dict.fromkeys(port for port in ports if "://" not in port))

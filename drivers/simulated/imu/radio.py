@@ -1,0 +1,66 @@
+"""The radio between a simulated Capture2Go and its host: time and commands in, notifications out; no I/O, no clock.
+
+A connection has a moment every so often (7.5 to 50 ms), at which what waits in the sensor's buffer is sent, four
+notifications of 244 bytes at most. A moment that fails costs nothing but time: the link sends again, first in, first
+out. What the host's own system loses is gone: whole notifications, with the packages whose bytes they held.
+"""
+
+import math
+import random
+from dataclasses import dataclass, field
+from typing import Final
+
+from drivers.simulated.imu.device import SimulatedImu
+from fes.signals import NS_PER_S
+
+LONGEST: Final = 244  # bytes of a notification, the first of which counts its real-time packages
+AT_ONCE: Final = 4  # notifications at one moment of the connection
+NO_REAL_TIME: Final = b"\xff"
+
+
+@dataclass
+class Radio:
+    """One connection; its moments are ``interval_s`` apart, and a share ``fails`` of them fails.
+
+    ``away_until_ns``: until then all fail (a burst, a body in between). ``lose``: so many of the next notifications the
+    host's system loses.
+    """
+
+    imu: SimulatedImu
+    t_ns: int
+    interval_s: float = 0.03
+    fails: float = 0.0
+    seed: int = 1
+    away_until_ns: int = 0
+    lose: int = 0
+    _buffer: bytearray = field(default_factory=bytearray)
+
+    def __post_init__(self) -> None:
+        self._chance = random.Random(self.seed)
+
+    def receive(self, t_ns: int, data: bytes) -> None:
+        """A command; its answer waits its turn."""
+        self._buffer += b"".join(self.imu.receive(t_ns, data))
+
+    def next_moment_ns(self) -> int:
+        """When something may be sent next."""
+        return self.t_ns + math.ceil(self.interval_s * NS_PER_S)
+
+    def advance(self, t_ns: int) -> list[bytes]:
+        """The notifications that have reached the host's program by ``t_ns``, in order."""
+        out: list[bytes] = []
+        while self.next_moment_ns() <= t_ns:
+            self.t_ns = self.next_moment_ns()
+            self._buffer += b"".join(self.imu.advance(self.t_ns))
+            if self.t_ns < self.away_until_ns or self._chance.random() < self.fails:
+                continue
+            for _ in range(AT_ONCE):
+                if not self._buffer:
+                    break
+                sent = NO_REAL_TIME + bytes(self._buffer[: LONGEST - 1])
+                del self._buffer[: LONGEST - 1]
+                if self.lose:
+                    self.lose -= 1
+                else:
+                    out.append(sent)
+        return out

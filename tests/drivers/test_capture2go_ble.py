@@ -1,0 +1,181 @@
+"""Capture2Go by radio: the port on a stand-in for bleak, whose notifications come from a simulated connection."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from drivers.imu import capture2go_ble as ble
+from drivers.imu.open import open_imus
+from drivers.imu.port import ImuLost, ImuPort
+from drivers.simulated.imu.capture2go import Capture2GoWire
+from drivers.simulated.imu.device import ImuSignal, SimulatedImu
+from drivers.simulated.imu.radio import Radio
+from fes.config import ConfigError, load_session
+from fes.config.session import ImuDevice
+from fes.signals import NS_PER_S, RawSample
+
+MS = 1_000_000
+COUNTED = ImuSignal(100.0, np.tile([0.0, 0.0, 9.81], (1000, 1)), np.linspace([0.0] * 3, [10.0, 0.0, 0.0], 1000))
+
+
+class Client:
+    """What the port asks of bleak's client, by a simulated radio in real time."""
+
+    radio: ClassVar[Radio]
+    alive: ClassVar[bool] = True
+    hangs: ClassVar[bool] = False
+
+    def __init__(self, device: Any, disconnected_callback: Any, timeout: float) -> None:
+        self._gone = disconnected_callback
+
+    async def connect(self) -> None:
+        if self.hangs:
+            await asyncio.sleep(3600)
+
+    async def start_notify(self, characteristic: str, callback: Any) -> None:
+        assert characteristic == ble.FROM_SENSOR
+        self._task = asyncio.create_task(self._run(callback))
+
+    async def _run(self, callback: Any) -> None:
+        while Client.alive:
+            for notification in Client.radio.advance(time.monotonic_ns()):
+                callback(None, bytearray(notification))
+            await asyncio.sleep(0.003)
+        self._gone(self)
+
+    async def write_gatt_char(self, characteristic: str, data: bytes, response: bool) -> None:
+        assert (characteristic, response) == (ble.TO_SENSOR, True)
+        Client.radio.receive(time.monotonic_ns(), data)
+
+    async def disconnect(self) -> None:
+        self._task.cancel()
+
+
+class Scanner:
+    @staticmethod
+    async def find_device_by_filter(is_it: Any, timeout: float, service_uuids: list[str]) -> Any:
+        found = SimpleNamespace(name="IMU_1234ab", address="00:11:22:33:44:55")
+        return found if service_uuids == [ble.SERVICE] and is_it(found, None) else None
+
+
+@pytest.fixture(autouse=True)
+def radio(monkeypatch: pytest.MonkeyPatch) -> Iterator[Radio]:
+    now_ns = time.monotonic_ns()
+    imu = SimulatedImu(Capture2GoWire(100.0, None, "1234ab"), COUNTED, now_ns)
+    Client.radio, Client.alive, Client.hangs = Radio(imu, now_ns), True, False
+    monkeypatch.setitem(sys.modules, "bleak", SimpleNamespace(BleakClient=Client, BleakScanner=Scanner))
+    yield Client.radio
+    Client.alive = False
+
+
+def device(port: str = "IMU_1234ab", **options: object) -> ImuDevice:
+    values = {"sensor": "left_foot", "device": "capture2go_ble", "port": port, "rate_hz": 100.0, "options": options}
+    return ImuDevice.model_validate(values | {"acc_range_g": 16.0, "gyr_range_dps": 2000.0})
+
+
+def listen(port: ImuPort, seconds: float) -> list[RawSample]:
+    found, end_s = [], time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        time.sleep(0.005)
+        found += port.read(time.monotonic_ns())
+    return found
+
+
+def test_eight_at_a_time_none_is_lost_and_their_age_is_the_radios(radio: Radio) -> None:
+    (port,) = open_imus([device()])
+    assert port.serials == {"left_foot": "1234ab"}
+    found = listen(port, 1.5)
+    assert len(found) >= 100
+    assert len(found) % 8 == 0
+    assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {10 * MS}
+    youngest_ms, oldest_ms = (
+        pick(sample.t_host_ns - sample.t_device_ns for sample in found) / MS for pick in (min, max)
+    )
+    assert youngest_ms >= 0
+    assert oldest_ms >= 70  # seven samples older than the newest of its package
+    counts = port.counts["left_foot"]
+    assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, 0)
+    port.close()
+    port.close()
+
+
+def test_bad_reception_makes_samples_late_and_not_missing(radio: Radio) -> None:
+    radio.fails, radio.interval_s = 0.1, 0.0075
+    (port,) = open_imus([device()])
+    listen(port, 0.3)
+    radio.away_until_ns = time.monotonic_ns() + NS_PER_S // 2
+    found = listen(port, 1.2)
+    assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {10 * MS}
+    assert max(sample.t_host_ns - sample.t_device_ns for sample in found) > 400 * MS
+    assert port.counts["left_foot"].missing == 0
+    port.close()
+
+
+def test_notifications_that_the_system_loses_cost_their_packages_and_are_counted(radio: Radio) -> None:
+    (port,) = open_imus([device()])
+    listen(port, 0.3)
+    radio.lose = 2
+    found = listen(port, 1.5)
+    counts = port.counts["left_foot"]
+    assert counts.missing >= 8
+    assert counts.missing % 8 == 0
+    assert len(found) >= 50
+    port.close()
+
+
+def test_a_connection_that_goes_is_lost_and_can_be_opened_again(radio: Radio) -> None:
+    (port,) = open_imus([device("00:11:22:33:44:55")])
+    listen(port, 0.2)
+    radio.imu.set_fault(time.monotonic_ns(), "reboot", 1)  # out of power
+    Client.alive = False
+    with pytest.raises(ImuLost, match=r"the connection is gone\. Is it switched on"):
+        listen(port, 2.0)
+    Client.alive = True
+    port.reopen()
+    assert len(listen(port, 1.0)) >= 40
+    port.close()
+
+
+def test_who_is_not_there_or_never_answers_is_named_in_time() -> None:
+    with pytest.raises(ImuLost, match="left_foot on IMU_other: is not found"):
+        open_imus([device("IMU_other", find_s=0.2)])
+    Client.hangs = True
+    began_s = time.monotonic()
+    with pytest.raises(ImuLost, match="TimeoutError"):
+        open_imus([device(find_s=0.2)])
+    assert time.monotonic() - began_s < 5.0
+
+
+def test_without_bleak_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "bleak", None)
+    with pytest.raises(ImuLost, match=r"pip install 'fes-gait\[ble\]'"):
+        open_imus([device()])
+
+
+SESSION = 'name = "radio"\n[[sensors]]\nsensor = "left_foot"\ndevice = "{device}"\nport = "IMU_1234ab"\nrate_hz = 100\n'
+SESSION += "acc_range_g = 16\ngyr_range_dps = 2000\n"
+
+
+def test_no_channel_is_stimulated_beside_a_sensor_by_radio(tmp_path: Path) -> None:
+    bundled = (Path(__file__).parents[2] / "sim_inputs" / "session.toml").read_text(encoding="utf-8")
+    path = tmp_path / "session.toml"
+    path.write_text(SESSION.format(device="capture2go_ble"), encoding="utf-8")
+    assert load_session(path).sensors[0].device == "capture2go_ble"  # to record is allowed
+    with_channels = bundled + SESSION.format(device="capture2go_ble").partition("\n")[2]
+    path.write_text(with_channels, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"left_foot: device 'capture2go_ble' is wireless.*no channel may be stimul"):
+        load_session(path)
+    path.write_text(with_channels.replace("capture2go_ble", "capture2go"), encoding="utf-8")
+    with contextlib.suppress(ImuLost):
+        assert load_session(path).channels
