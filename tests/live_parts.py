@@ -43,7 +43,7 @@ class SocketImu:
     def __init__(self, sensor: str = "right_foot") -> None:
         self.sensors = (sensor,)
         self.serials: dict[str, str] = {}
-        self.remarks: list[str] = []
+        self.notices: list[str] = []
         self._ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._ours.setblocking(False)
         self.closed = False

@@ -75,7 +75,7 @@ class Capture2GoPort(OneSensorPort):
         """Of sensor and line, for messages."""
 
     @property
-    def remarks(self) -> list[str]:
+    def notices(self) -> list[str]:
         """Battery, clock, and what its flags have said since it was first opened."""
         name, status, counts = self._device.sensor, self._status, self._counts
         battery = int(status.get("battery", c2g.CHARGING))  # type: ignore[arg-type]

@@ -53,7 +53,7 @@ class ImuPort(ABC):
     counts: dict[str, LineCounts]
 
     @property
-    def remarks(self) -> Sequence[str]:
+    def notices(self) -> Sequence[str]:
         """What the devices say of themselves that a person should know; most say nothing."""
         return ()
 

@@ -43,8 +43,8 @@ class Notices:
         ]
         lost = (stream.why_lost for stream in self.streams)
         of_session = self.electrodes.unknown(), self.log, self.proof(), *self.lasting
-        remarks = (remark for stream in self.streams for remark in stream.remarks)
-        return list(filter(None, (*self._of_feet(), *flags, *lost, *remarks, *of_session)))
+        of_sensors = (notice for stream in self.streams for notice in stream.notices)
+        return list(filter(None, (*self._of_feet(), *flags, *lost, *of_sensors, *of_session)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

@@ -23,7 +23,7 @@ class Imu(Protocol):
         """By sensor, the serial number of the device there, where it tells one."""
 
     @property
-    def remarks(self) -> Sequence[str]:
+    def notices(self) -> Sequence[str]:
         """What the devices say of themselves that a person should know."""
 
     def fileno(self) -> int | None:
@@ -135,9 +135,9 @@ class SensorStream:
         return None if self.port is None else self.port.fileno()
 
     @property
-    def remarks(self) -> Sequence[str]:
+    def notices(self) -> Sequence[str]:
         """What the devices say of themselves; of a lost line nothing."""
-        return () if self.port is None else self.port.remarks
+        return () if self.port is None else self.port.notices
 
     @property
     def must_be_polled(self) -> bool:

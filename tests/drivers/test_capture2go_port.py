@@ -108,7 +108,7 @@ def test_it_is_asked_who_it_is_set_and_started_and_its_stamps_are_on_the_hosts_c
     assert all(0 <= sample.t_host_ns - sample.t_device_ns <= 2 * MS for sample in found)
     assert found[0].acc_mps2 == pytest.approx((0.0, 0.0, 9.81), abs=0.003)
     assert found[0].gyr_radps == pytest.approx((1.0, 0.0, -math.radians(2000.0)), abs=0.002)  # its range ends there
-    assert port.remarks == []
+    assert port.notices == []
     port.close()
     assert listen(port, 0.5) == []
 
@@ -161,13 +161,13 @@ def test_its_flags_are_counted_told_and_acted_on() -> None:
     lost = [sample for sample in found if math.isnan(sample.acc_mps2[0]) and math.isnan(sample.gyr_radps[2])]
     counts = port.counts["right_foot"]
     assert len(lost) == counts.unsound == counts.bad_values == 3
-    assert [remark.partition(": ")[2][:27] for remark in port.remarks] == ["its flags tell that its pro"]
+    assert [notice.partition(": ")[2][:27] for notice in port.notices] == ["its flags tell that its pro"]
     sensor.imu.set_fault(sensor.clock.now_ns, "jump", 0.5)
     sensor.imu.set_fault(sensor.clock.now_ns, "clip", 0.03)
     found = listen(port, 0.5)
     assert (counts.time_gaps, counts.missing) == (1, 50)
     assert counts.clipped == pytest.approx(50, abs=1)
-    assert any("gaps in its stamps" in remark for remark in port.remarks)
+    assert any("gaps in its stamps" in notice for notice in port.notices)
 
 
 def test_what_its_buffer_held_back_comes_whole_in_order_and_old() -> None:
@@ -221,15 +221,15 @@ def test_two_have_one_clock_until_one_loses_it() -> None:
         return abs(found["left_foot"].t_device_ns - found["right_foot"].t_device_ns)
 
     assert apart_ns() <= 10 * MS
-    assert first.remarks == second.remarks == []
+    assert first.notices == second.notices == []
     second._sensor.imu.set_fault(clock.now_ns, "deaf", 1)
     second._sensor.imu.set_fault(clock.now_ns, "drift", 20_000.0)  # as no crystal: 20 ms a second
     apart_ns()
     assert apart_ns() > 40 * MS
-    assert second.remarks == ["right_foot: hears no clock of its sender; its stamps drift from the others'"]
+    assert second.notices == ["right_foot: hears no clock of its sender; its stamps drift from the others'"]
     stranger = MemoryPort(Sensor(clock, air), "left_shank", sync="receiver", sync_id=10)
     listen(stranger, 0.2)
-    assert len(stranger.remarks) == 1
+    assert len(stranger.notices) == 1
 
 
 def test_a_battery_that_is_nearly_empty_is_told() -> None:
@@ -239,7 +239,7 @@ def test_a_battery_that_is_nearly_empty_is_told() -> None:
         status = {"sensorState": 2, "battery": battery, "synchronized": True}
         sensor.line.send(sensor.clock.now_ns, [c2g.pack(Header.DATA_STATUS, status)])
         port.read(sensor.clock.now_ns)
-        assert len(port.remarks) == told
+        assert len(port.notices) == told
 
 
 @pytest.mark.parametrize(

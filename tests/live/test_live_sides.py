@@ -123,7 +123,7 @@ class WalkedAgain:
     def __init__(self, tracks: Mapping[str, Track], clock: SetClock) -> None:
         self.sensors = tuple(tracks)
         self.serials: dict[str, str] = {}
-        self.remarks: list[str] = []
+        self.notices: list[str] = []
         self._clock, self._begin_ns = clock, clock.now_ns
         self._moments = zip(*(rows_of(track) for track in tracks.values()), strict=True)
         self._ready, self._more = os.pipe()  # always readable

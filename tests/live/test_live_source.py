@@ -197,7 +197,7 @@ class SharedLine:
 
     def __init__(self) -> None:
         self.serials: dict[str, str] = {}
-        self.remarks: list[str] = []
+        self.notices: list[str] = []
         self.given: list[Raw] = []
 
     def give(self, t_ns: int, *sensors: str, stamp_ns: int | None = None) -> None:

@@ -34,7 +34,7 @@ class Standing:
 
     def __init__(self, clock: SetClock) -> None:
         self.serials: dict[str, str] = {}
-        self.remarks: list[str] = []
+        self.notices: list[str] = []
         self._clock = clock
         self._ready, more = os.pipe()  # always readable
         os.write(more, b"x")

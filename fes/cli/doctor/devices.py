@@ -96,8 +96,8 @@ def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]
             lost, took_s = _listen(ports, heard, measure_s)
             for sensor, each in heard.items():
                 yield lost[sensor] if sensor in lost else judged(sensor, each, took_s)
-            for remark in (remark for port in ports if not set(port.sensors) & lost.keys() for remark in port.remarks):
-                sensor, _, said = remark.partition(": ")
+            for notice in (notice for port in ports if not set(port.sensors) & lost.keys() for notice in port.notices):
+                sensor, _, said = notice.partition(": ")
                 yield warning(sensor, said, "see to it before the session; docs/imus.md says what it means")
     finally:
         for port in ports:

@@ -242,7 +242,7 @@ class RecordedSensors:
     def __init__(self, recording: Recording, sensors: Collection[str]) -> None:
         self.sensors = tuple(sorted(sensors))
         self.serials: dict[str, str] = {}
-        self.remarks: tuple[str, ...] = ()
+        self.notices: tuple[str, ...] = ()
         self._samples = deque(each for each in recording.samples() if each.sensor in sensors)
         self._ahead_ns: int | None = None
 
