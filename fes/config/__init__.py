@@ -22,7 +22,7 @@ from fes.config.tuning import Band, Bounds, Tuning
 
 __all__ = [
     "PHASE_ORDER", "STEEPEST_PERCENT", "WIRELESS", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError",
-    "Exercise", "Foot", "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation",
-    "StimulatorDevice", "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml",
+    "Exercise", "Foot", "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings",
+    "Stimulation", "StimulatorDevice", "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml",
     "refuse_blind_targets", "validate_session",
 ]  # fmt: skip

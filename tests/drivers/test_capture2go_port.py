@@ -17,7 +17,9 @@ from drivers.simulated.imu.capture2go import Air, Capture2GoWire, package
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.lines import LineFaults
 from fes.config.session import ImuDevice
-from fes.signals import NS_PER_S, RawSample
+from fes.control.clock_sync import SensorClock
+from fes.live.sensors import SensorStream
+from fes.signals import NS_PER_S, RawSample, SystemFault
 
 MS = 1_000_000
 START_NS = 5_000 * NS_PER_S
@@ -195,6 +197,19 @@ def test_after_a_loss_of_power_it_is_silent_until_it_is_opened_again() -> None:
     found = listen(port, 0.5)
     assert len(found) == pytest.approx(50, abs=1)
     assert all(0 <= sample.t_host_ns - sample.t_device_ns <= 2 * MS for sample in found)
+
+
+def test_a_session_hears_what_it_says_while_its_line_is_there() -> None:
+    sensor = Sensor(Clock())
+    port = MemoryPort(sensor)
+    stream = SensorStream(port, SensorClock, ImuLost, frozenset({"right_foot"}))
+    sensor.imu.set_fault(sensor.clock.now_ns, "unsound", 1)
+    listen(port, 0.1)
+    assert list(stream.notices) == port.notices != []
+    sensor.hear(c2g.pack(Header.CMD_STOP_STREAMING) + c2g.pack(Header.CMD_GET_STATUS))
+    sensor.clock.now_ns += 10 * MS
+    assert any(isinstance(event, SystemFault) for event in stream.read(sensor.clock.now_ns))
+    assert list(stream.notices) == []
 
 
 def test_one_that_says_that_it_has_stopped_is_lost() -> None:
