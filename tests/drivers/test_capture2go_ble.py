@@ -166,6 +166,7 @@ SESSION = 'name = "radio"\n[[sensors]]\nsensor = "left_foot"\ndevice = "{device}
 SESSION += "acc_range_g = 16\ngyr_range_dps = 2000\n"
 
 
+@pytest.mark.requirement("SR-29")
 def test_no_channel_is_stimulated_beside_a_sensor_by_radio(tmp_path: Path) -> None:
     bundled = (Path(__file__).parents[2] / "sim_inputs" / "session.toml").read_text(encoding="utf-8")
     path = tmp_path / "session.toml"
