@@ -34,6 +34,8 @@ STEP_S: Final = 0.001
 RATE_STEPS: Final = 10  # 100 Hz
 FOOT: Final = "right_foot"
 MIDDLE, LATE = (0.30, 0.80), (0.25, 0.90)  # shares of the swing: where clearance counts, where a drag does
+STOPS: Final = 0.3  # a sample: heel pad and shoe stop the foot within some 30 ms
+RETURNS: Final = 0.3  # of the rattle: leaves two thirds of the power below 5 Hz, as real feet have (0.66)
 STAND, PIVOT_HEEL, FLAT, PIVOT_BALL, SWING = range(5)
 
 
@@ -203,8 +205,9 @@ class SecondPatient:
         self._scale = 1.0 + 0.008 * self._rng.normal(size=6)
         self._pose = (0.0, s.sole_m)  # of the ankle
         self._stride_s, self._contact_step, self._felt_m = s.stride_s, 0, math.nan
-        self._rattle = np.zeros(2)
-        self._rattle_of, self._roll, self._error = np.zeros(2), 0.0, 0.0
+        self._rattles = np.zeros((3, 3))  # the newest sample's and the two before it
+        self._rattle_of, self._roll, self._error = np.zeros(3), 0.0, 0.0
+        self._stop_mps = np.zeros(2)  # of the ankle, taken by the ground at contact and not yet felt
         self._marks: dict[str, float] = {}
         self._swing: list[FloatArray] = []
         self._push: list[float] = []
@@ -354,10 +357,23 @@ class SecondPatient:
             "roll": math.radians(s.invert_deg) + 0.02 * self._rng.normal(),
         }
         impact = min(abs(0.16 + 0.05 * self._rng.normal()) / 0.16, 2.0)
-        self._rattle_of = s.rattle_mps2 * impact * self._rng.normal(size=2)
+        self._rattle_of = s.rattle_mps2 * impact * self._rng.normal(size=3)
+        before = self._ankle_mps()
         self._pivot(-s.heel_m if pitch > 0.0 else s.toe_m, 0.07 + 0.05 * self._stride_s, 0.0, 0.0)
         self._phase = PIVOT_HEEL
         self._plan[0] = PIVOT_HEEL
+        self._stop_mps += self._ankle_mps() - before
+
+    def _ankle_mps(self) -> FloatArray:
+        """The ankle's velocity forward and up, by the plan of the phase."""
+        t, pitch, rate = (float(value) for value in self._state[:3])
+        plan = self._plan
+        if self._phase == SWING:
+            rise = (self._height_m(t + 0.5 * STEP_S) - self._height_m(t - 0.5 * STEP_S)) / STEP_S
+            return np.array([sum(n * plan[11 + n] * t ** (n - 1) for n in range(1, 6)), rise])
+        px = -plan[3] * math.cos(pitch) + plan[4] * math.sin(pitch)
+        pz = -plan[3] * math.sin(pitch) - plan[4] * math.cos(pitch)
+        return np.array([-rate * pz, rate * px])
 
     def _finish(self, now_s: float) -> None:
         s, marks = self.settings, self._marks
@@ -395,16 +411,20 @@ class SecondPatient:
         pitch, rate, acc, x_acc, z_acc = (float(rows[-RATE_STEPS:, k].mean()) for k in range(5))
         cos, sin, (px, _, pz) = math.cos(pitch), math.sin(pitch), s.place_m
         ox, oz = px * cos - pz * sin, px * sin + pz * cos  # pitch turns the foot's x up
+        stop = STOPS * self._stop_mps  # m/s, of what is left, in this sample
+        self._stop_mps = self._stop_mps - stop
+        x_acc, z_acc = np.array([x_acc, z_acc]) + stop / (STEP_S * RATE_STEPS)
         ax, az = x_acc - acc * oz - rate * rate * ox, z_acc + acc * ox - rate * rate * oz + G
         swing = self._phase == SWING
         target = math.radians(s.invert_deg) if swing else 0.0
         before, self._roll = self._roll, self._roll + 0.12 * (target - self._roll)
         force = np.array([ax * cos + az * sin, 0.0, -ax * sin + az * cos])
         force[1] += force[2] * math.sin(self._roll)
-        self._rattle = 0.55 * self._rattle + self._rattle_of + (0.5 if swing else 0.0) * rng.normal(size=2)
-        self._rattle_of = -0.6 * self._rattle_of if np.abs(self._rattle_of).max() > 0.3 else np.zeros(2)
-        if swing or self._phase in (PIVOT_HEEL, PIVOT_BALL):
-            force[[0, 2]] += self._rattle
+        rattle = 0.55 * self._rattles[0] + self._rattle_of + (0.5 if swing else 0.0) * rng.normal(size=3)
+        self._rattle_of = -0.6 * self._rattle_of if np.abs(self._rattle_of).max() > 0.3 else np.zeros(3)
+        self._rattles = np.vstack([rattle, self._rattles[:2]])
+        # what moves on a foot comes back to where it was: its acceleration integrates to nothing, twice
+        force += RETURNS * (self._rattles[0] - 2.0 * self._rattles[1] + self._rattles[2])
         rates = np.array([100.0 * (self._roll - before), -rate, 0.02 * rng.normal() if swing else 0.0])
         both = np.concatenate([self._mount @ force, self._mount @ rates]) * self._scale + self._bias
         both += rng.normal(size=6) * np.repeat([0.03, 0.003], 3)
