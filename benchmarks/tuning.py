@@ -215,10 +215,11 @@ def judge(done: Walk, trial: Trial, fault_ns: int | None) -> Result:
     faults = [report for report in done.reports if report.kind == "fault"]
     late = [report for report in faults if fault_ns is not None and report.t_ns > fault_ns]
     after = [one.t_flat_ns for one in strides if fault_ns is not None and one.t_contact_ns > fault_ns]
-    until_ns = after[min(SPARED, len(after) - 1)] if after else 0
+    # what follows from the first stride that was walked with the fault: nobody knows of it before
+    since_ns, until_ns = (after[0], after[min(SPARED, len(after) - 1)]) if after else (0, 0)
     lowered = [
         report for report in done.reports
-        if fault_ns is not None and fault_ns < report.t_ns <= until_ns and max(report.after.widths_us)
+        if since_ns < report.t_ns <= until_ns and max(report.after.widths_us)
         * report.after.current_ma < max(report.before.widths_us) * report.before.current_ma
     ]  # fmt: skip
     return Result(

@@ -12,11 +12,11 @@ from statistics import median
 from typing import Final
 
 from fes.config import Channel, Tuning
-from fes.signals import NS_PER_S, StrideResult
+from fes.signals import MID_SWING_END, NS_PER_S, StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
 from fes.stimulation.tuning.report import Proposal, Seen
 from fes.stimulation.tuning.settings import OWN, RuleSettings
-from fes.stimulation.tuning.targets import PITCH, ROLL, Drives, Measure, Reading, drives_of
+from fes.stimulation.tuning.targets import PITCH, ROLL, Drives, Measure, Reading, bands_per_drive, drives_of
 from fes.stimulation.tuning.usable import JOLTED, NO_CHARGE
 
 
@@ -54,6 +54,7 @@ class OwnRule:
         self._start = self._newest = self._target = BurstParameters.for_channel(channel)  # BACK goes to the target
         self._ground, self._by_ground = incline, {incline: self._start}
         self._errors: dict[str, deque[float]] = {}  # levels below the aim, by measure
+        self._answers: dict[str, deque[tuple[float, float]]] = {}  # drive and level, by measure
         self._phases: deque[tuple[float, ...]] = deque(maxlen=settings.remembered)  # pre-swing, swing, loading; s
         self._bare: list[float] = []  # levels without stimulation
         self._since_fault = self._jolts = self._spent = self._vain = self._untaught = 0
@@ -80,8 +81,12 @@ class OwnRule:
         if seen.reading is None or seen.skipped:
             return self._skipped(seen)
         self._untaught = self._jolts = 0
+        drives = drives_of(seen.given, self._channel)
         for measure in seen.reading.measures:
-            errors = self._errors.setdefault(measure.name, deque(maxlen=self._own.lately))
+            drive = seen.intensity * (drives.tail if measure.name == PITCH else drives.front)
+            answers = self._answers.setdefault(measure.name, deque(maxlen=self._own.answers))
+            answers.append((drive, measure.level))
+            errors = self._errors.setdefault(measure.name, deque(maxlen=self._own.surely))
             errors.append(self._aim(measure) - measure.level)
         if (phases_s := phases_of(seen.stride)) is not None:
             self._phases.append(phases_s)
@@ -152,12 +157,14 @@ class OwnRule:
 
     def _step(self, measure: Measure) -> float:
         """By how much the drive of what a measure answers for is to change."""
-        own, newest, usual = self._own, self._lacks(measure), median(self._errors[measure.name])
-        if newest > own.near:
-            return self._tuning.gain * own.drive_per_band * newest
-        if self.state is State.SPARE or max(newest, usual) >= -own.much:
-            return 0.0
-        return max(own.drive_per_band * usual, -own.eased)
+        own, errors, newest = self._own, self._errors[measure.name], self._lacks(measure)
+        usual = median(list(errors)[-own.lately :])
+        bands = max(bands_per_drive(self._answers[measure.name], own), 1.0 / own.drive_per_band)
+        missing = newest if newest > own.far else min(newest, usual)
+        if missing > own.near:
+            return self._tuning.gain * missing / bands
+        surely = max(newest, usual) < -own.far or len(errors) == own.surely and max(errors) < -own.much
+        return max(usual / bands, -own.eased) if surely and self.state is not State.SPARE else 0.0
 
     def _aim(self, measure: Measure) -> float:
         own = self._own
@@ -189,7 +196,7 @@ class OwnRule:
         if self._phases:
             pre_s, swing_s, _ = self._usual_phases_s()
             begun_s = base.start_delay_s + (pre_s if self._channel.start_phase == "swing" else 0.0)
-            bins = round((pre_s + self._own.carried_until * swing_s - self._own.answer_s - begun_s) / BIN_S)
+            bins = round((pre_s + MID_SWING_END * swing_s - self._own.answer_s - begun_s) / BIN_S)
             carried = min(max(bins, 0), carried)
         front, most_us = min(drives.front, 1.0), bounds.pulse_width_us.high
         first_us, last_us = front * most_us, drives.tail * most_us
