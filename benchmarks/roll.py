@@ -32,7 +32,7 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.signals import FloatArray, StrideResult
 from fes.simulation.forward import PatientSettings, VirtualPatient, draw_patient
 from fes.simulation.sensor import Placement
-from fes.stimulation.tuning.targets import roll_at_contact_rad
+from fes.stimulation.contact import roll_at_contact_rad
 
 FOOT = "right_foot"
 SEED, PATIENTS, SECONDS, STRIDES = 4711, 15, 60.0, 60

@@ -23,6 +23,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
@@ -410,21 +411,21 @@ def main() -> None:
     said: list[str] = []
     with ProcessPoolExecutor(asked.processes) as pool:
         for title, seeds, trials, arms, second in groups:
-            if not seeds:
-                continue
             walked: dict[str, list[dict[str, Result]]] = {name: [] for name in trials}
             task = partial(one_person, names=trials, arms=arms, second=second)
-            for seed, found in zip(seeds, pool.map(task, seeds), strict=True):
-                for name, one in found.items():
-                    walked[name].append(one)
-                    if asked.each:
-                        print(
-                            name,
-                            seed,
-                            {arm: f"{r.settled:.2f} {r.charge_uc:.0f} µC" for arm, r in one.items()},
-                            flush=True,
-                        )
-            said += [f"**{title}, seeds {seeds[0]}–{seeds[-1]}**", "", HEAD]
+            try:
+                tasks = [pool.submit(task, seed) for seed in seeds]
+                for seed, one in zip(seeds, tasks, strict=True):
+                    for name, arms_of in one.result().items():
+                        walked[name].append(arms_of)
+                        if asked.each:
+                            each = {arm: f"{r.settled:.2f} {r.charge_uc:.0f} µC" for arm, r in arms_of.items()}
+                            print(name, seed, each, flush=True)
+            except (KeyboardInterrupt, BrokenProcessPool):
+                print("interrupted: the tables have who has walked", flush=True)
+            if not (count_of := len(walked[trials[0]])):
+                continue
+            said += [f"**{title}, seeds {seeds[0]}–{seeds[count_of - 1]}**", "", HEAD]
             said += [line for name, every in walked.items() for line in rows(name, every)] + [""]
             for name, every in walked.items():
                 said += differences(name, every) + fault_lines(name, every)

@@ -13,7 +13,7 @@ from fes.control.runner import Runner
 from fes.evaluation.log_replay import ReplayOutput
 from fes.live.remedies import with_remedy
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
-from fes.stimulation.tuning.report import difference
+from fes.stimulation.envelope import difference
 from fes.walk_record import Note
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange

@@ -9,8 +9,7 @@ from fes.live.sensors import SensorStream
 from fes.live.status import TuningStatus
 from fes.live.stimulator import Electrodes
 from fes.signals import NS_PER_S
-from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.report import difference
+from fes.stimulation.envelope import BurstParameters, difference
 from fes.stimulation.tuning.session import Tuners
 
 SHOWN_NS: Final = 5 * NS_PER_S  # after the newest faulty sample; the log has the first, and its end how many

@@ -17,8 +17,7 @@ from fes.live.sensor_monitor import SensorMonitor
 from fes.live.status import ground_text
 from fes.session_log import Note
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, Tick
-from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.report import difference
+from fes.stimulation.envelope import BurstParameters, difference
 
 AGAIN_NS: Final = 5 * NS_PER_S
 TUNING: Final = ("freeze_tuning", "resume_tuning", "accept_suggestion", "roll_back")

@@ -165,3 +165,22 @@ def round_down(value: float, step: float) -> float:
     """The greatest multiple of ``step`` that does not exceed ``value`` (both ≥ 0)."""
     steps = math.floor(value / step)
     return steps * step if steps * step <= value else (steps - 1) * step
+
+
+def difference(before: BurstParameters, after: BurstParameters) -> str:
+    """What changes, in words; "" for nothing."""
+    changes = []
+    if after.current_ma != before.current_ma:
+        changes.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
+    moved = [a - b for b, a in zip(before.widths_us, after.widths_us, strict=True)]
+    if any(moved):
+        k = max(range(len(moved)), key=lambda k: abs(moved[k]))
+        width = f"pulse width {before.widths_us[k]:.0f} → {after.widths_us[k]:.0f} µs"
+        even = len(set(before.widths_us)) == len(set(after.widths_us)) == 1
+        mean = f"mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs"
+        changes.append(width if even else f"{width} {k * BIN_S:.2f} s into the burst, where it changes most ({mean})")
+    for name, key in (("start delay", "start_delay_s"), ("extension", "extension_s")):
+        was, becomes = getattr(before, key), getattr(after, key)
+        if was != becomes:
+            changes.append(f"{name} {1e3 * was:.0f} → {1e3 * becomes:.0f} ms")
+    return ", ".join(changes)

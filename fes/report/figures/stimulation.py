@@ -12,7 +12,7 @@ from fes.report.strides import StrideStimulation
 from fes.report.summary import ReportData
 from fes.report.text import readable
 from fes.signals import NS_PER_S, StrideResult
-from fes.stimulation.tuning.targets import pitch_at_contact_rad, roll_at_contact_rad
+from fes.stimulation.contact import pitch_at_contact_rad, roll_at_contact_rad
 
 CHANNEL_COLORS = ("#009E73", "#CC79A7", "#0072B2", "#E69F00", "#000000", "#D55E00", "#56B4E9", "#8C7A00")
 ENVELOPE_STEP_S = 0.01

@@ -11,7 +11,7 @@ from fes.report.gait import spread_of
 from fes.report.summary import ReportData
 from fes.report.text import count_of, readable
 from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
-from fes.stimulation.tuning.targets import times_ns
+from fes.stimulation.contact import times_ns
 
 FIRST, LAST = 5, 10  # stimulated strides: hardly tuned yet, and as the session ended
 BEFORE_COLOR, BAND_COLOR = "#6b7280", "#009E73"

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Final
 
 from fes.config import Bounds, Channel, Tuning
-from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.report import Kind, Rule, Seen, TuningReport, difference
+from fes.stimulation.envelope import BurstParameters, difference
+from fes.stimulation.tuning.report import Kind, Rule, Seen, TuningReport
 
 QUANTA: Final = (0.5, 0.005, 0.005, 1.0)  # mA, s, s, µs: the devices' steps; less would be a change on paper only
 
@@ -120,7 +120,7 @@ class Tuner:
     def resume(self, t_ns: int) -> TuningReport:
         """Go on after a freeze."""
         self.frozen, self._going_back = "", False
-        self._tell("resumed")
+        self.tell("resumed")
         return self._report(t_ns, "frozen", "tuning goes on", self.parameters)
 
     def accept(self, t_ns: int) -> TuningReport | None:
@@ -135,15 +135,12 @@ class Tuner:
         """Back to the session's own settings with the next burst, and freeze."""
         before, self.parameters = self.parameters, self.start
         self.freeze(t_ns, "rolled back by the operator")
-        self._tell("rolled back")
+        self.tell("rolled back")
         changes = difference(before, self.parameters) or "nothing had been changed"
         return self._report(t_ns, "roll_back", f"back to the session's settings, tuning is frozen: {changes}", before)
 
-    def ground_changed(self, incline: float | None) -> None:
-        """A person said what is walked on, rise over run; None: nothing is known of it."""
-        self._tell("ground", incline)
-
-    def _tell(self, what: str, incline: float | None = None) -> None:
+    def tell(self, what: str, incline: float | None = None) -> None:
+        """Tell the rule what a person did: see :meth:`fes.stimulation.tuning.report.Rule.acted`."""
         try:
             self.rule.acted(what, incline)
         except Exception as error:  # as above

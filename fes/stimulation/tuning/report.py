@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from fes.signals import StrideResult
-from fes.stimulation.envelope import BIN_S, BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.targets import Reading
 
 Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "fault", "frozen"]
@@ -66,22 +66,3 @@ class TuningReport:
     def severity(self) -> str:
         """For the session log."""
         return "warning" if self.kind in ("hint", "roll_back", "fault") else "info"
-
-
-def difference(before: BurstParameters, after: BurstParameters) -> str:
-    """What changes, in words; "" for nothing."""
-    changes = []
-    if after.current_ma != before.current_ma:
-        changes.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
-    moved = [a - b for b, a in zip(before.widths_us, after.widths_us, strict=True)]
-    if any(moved):
-        k = max(range(len(moved)), key=lambda k: abs(moved[k]))
-        width = f"pulse width {before.widths_us[k]:.0f} → {after.widths_us[k]:.0f} µs"
-        even = len(set(before.widths_us)) == len(set(after.widths_us)) == 1
-        mean = f"mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs"
-        changes.append(width if even else f"{width} {k * BIN_S:.2f} s into the burst, where it changes most ({mean})")
-    for name, key in (("start delay", "start_delay_s"), ("extension", "extension_s")):
-        was, becomes = getattr(before, key), getattr(after, key)
-        if was != becomes:
-            changes.append(f"{name} {1e3 * was:.0f} → {1e3 * becomes:.0f} ms")
-    return ", ".join(changes)

@@ -53,7 +53,6 @@ class OwnRule:
         self._channel, self._tuning, self._own = channel, channel.tuning or Tuning(), settings
         self._start = self._newest = self._target = BurstParameters.for_channel(channel)  # BACK goes to the target
         self._ground, self._by_ground = incline, {incline: self._start}
-        self._errors: dict[str, deque[float]] = {}  # levels below the aim, by measure
         self._answers: dict[str, deque[tuple[float, float]]] = {}  # drive and level, by measure
         self._phases: deque[tuple[float, ...]] = deque(maxlen=settings.remembered)  # pre-swing, swing, loading; s
         self._bare: list[float] = []  # levels without stimulation
@@ -83,11 +82,8 @@ class OwnRule:
         self._untaught = self._jolts = 0
         drives = drives_of(seen.given, self._channel)
         for measure in seen.reading.measures:
-            drive = seen.intensity * (drives.tail if measure.name == PITCH else drives.front)
             answers = self._answers.setdefault(measure.name, deque(maxlen=self._own.answers))
-            answers.append((drive, measure.level))
-            errors = self._errors.setdefault(measure.name, deque(maxlen=self._own.surely))
-            errors.append(self._aim(measure) - measure.level)
+            answers.append((seen.intensity * drives.of(measure), measure.level))
         if (phases_s := phases_of(seen.stride)) is not None:
             self._phases.append(phases_s)
         self._since_fault = 0 if seen.noticed else self._since_fault + 1
@@ -153,17 +149,18 @@ class OwnRule:
         return wanted, "; ".join(self._why(measure) for measure, step in steps.items() if step)
 
     def _lacks(self, measure: Measure) -> float:
-        return self._errors[measure.name][-1]
+        return self._aim(measure) - measure.level
 
     def _step(self, measure: Measure) -> float:
         """By how much the drive of what a measure answers for is to change."""
-        own, errors, newest = self._own, self._errors[measure.name], self._lacks(measure)
-        usual = median(list(errors)[-own.lately :])
-        bands = max(bands_per_drive(self._answers[measure.name], own), 1.0 / own.drive_per_band)
+        own, answers, newest = self._own, self._answers[measure.name], self._lacks(measure)
+        errors = [self._aim(measure) - level for _, level in answers][-own.surely :]
+        usual = median(errors[-own.lately :])
+        bands = max(bands_per_drive(answers, own), 1.0 / own.drive_per_band)  # never further than the usual foot's
         missing = newest if newest > own.far else min(newest, usual)
         if missing > own.near:
             return self._tuning.gain * missing / bands
-        surely = max(newest, usual) < -own.far or len(errors) == own.surely and max(errors) < -own.much
+        surely = max(newest, usual) < -own.far or (len(errors) == own.surely and max(errors) < -own.much)
         return max(usual / bands, -own.eased) if surely and self.state is not State.SPARE else 0.0
 
     def _aim(self, measure: Measure) -> float:

@@ -41,8 +41,7 @@ class RuleSettings:
 
     # the watch (dev: whole, slipped, drifting and spastic walks)
     believed: float = 0.01  # drive²: spread from which a foot's own answer weighs more than drive_per_band
-    flattest: float = 1.0  # bands that all of the drive lifts by, at least …
-    steepest: float = 15.0  # … and at most
+    flattest: float = 1.0  # bands that all of the drive lifts by, at least
     newest: int = 7  # strides that are held against …
     earlier: int = 8  # … earlier ones, of which
     enough: int = 5  # at least so many must be at the same speed,
@@ -51,9 +50,7 @@ class RuleSettings:
     climb: int = 14  # first ones, which tell how the foot answers
     slipped: float = 0.70  # share of the drive that still arrives, below which something has happened
     stays: float = 0.33  # share of such a loss which all but one of the strides must show
-    little: float = 0.15  # level: a measure that stimulation lifts by less tells nothing
-    least_sd: float = 0.12  # level: strides that agree by chance do not make a clearance exact,
-    least_sd_at_contact: float = 0.03  # nor a pitch
+    least_sd: float = 0.03  # level: strides that agree by chance do not make a measure exact
 
 
 OWN: Final = RuleSettings()

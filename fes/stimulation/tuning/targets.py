@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import NamedTuple
 
-import numpy as np
-
 from fes.config import Band, Channel, Tuning
-from fes.signals import FloatArray, StrideResult
+from fes.signals import StrideResult
+from fes.stimulation.contact import pitch_at_contact_rad, roll_at_contact_rad
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.settings import RuleSettings
 
@@ -30,11 +29,6 @@ class Measure:
     band: Band
     scale: float
     unit: str
-
-    @property
-    def at_contact(self) -> bool:
-        """Whether it is measured at initial contact rather than in mid-swing."""
-        return self.name in (PITCH, ROLL)
 
     @property
     def level(self) -> float:
@@ -65,56 +59,26 @@ class Reading:
 
 def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
     """The stride's measures; where none can be had, why, in words."""
-    measures: list[Measure] = []
-    missing: list[str] = []
-    toe, sensor, pitch = tuning.toe_clearance_m, tuning.sensor_clearance_m, tuning.pitch_at_contact_deg
-    eversion = tuning.eversion_at_contact_deg
-    if toe is not None and math.isfinite(stride.toe_clearance_m):
-        measures.append(Measure("toe clearance", stride.toe_clearance_m, toe, 1e3, "mm"))
-    elif sensor is not None and math.isfinite(stride.clearance_m):
-        measures.append(Measure("sensor lift", stride.clearance_m, sensor, 1e3, "mm"))
-    elif toe is not None or sensor is not None:
-        missing.append(
-            "the clearance could not be measured (toe clearance needs [geometry] in the session, or set "
-            "sensor_clearance_m as well)"
-        )
-    if pitch is not None:
-        angle = pitch_at_contact_rad(stride)
-        if math.isfinite(angle):
-            measures.append(Measure(PITCH, math.degrees(angle), pitch, 1.0, "°"))
-        else:
-            missing.append("initial contact was not seen")
-    if eversion is not None:
-        angle = -roll_at_contact_rad(stride)
-        if math.isfinite(angle):
-            measures.append(Measure(ROLL, math.degrees(angle), eversion, 1.0, "°"))
-        else:
-            missing.append("the foot's roll at initial contact was not seen")
+    lift = ("toe clearance", stride.toe_clearance_m, tuning.toe_clearance_m)
+    if tuning.sensor_clearance_m is not None and not (lift[2] is not None and math.isfinite(lift[1])):
+        lift = ("sensor lift", stride.clearance_m, tuning.sensor_clearance_m)
+    no_lift = (
+        "the clearance could not be measured (toe clearance needs [geometry] in the session, or set "
+        "sensor_clearance_m as well)"
+    )
+    pitch_deg, roll_deg = math.degrees(pitch_at_contact_rad(stride)), math.degrees(roll_at_contact_rad(stride))
+    asked = (
+        (*lift, 1e3, "mm", no_lift),
+        (PITCH, pitch_deg, tuning.pitch_at_contact_deg, 1.0, "°", "initial contact was not seen"),
+        (ROLL, -roll_deg, tuning.eversion_at_contact_deg, 1.0, "°", "the foot's roll at initial contact was not seen"),
+    )
+    measures = [
+        Measure(name, value, band, scale, unit)
+        for name, value, band, scale, unit, _ in asked if band is not None and math.isfinite(value)
+    ]  # fmt: skip
     if not measures:
-        return "; ".join(missing)
+        return "; ".join(why for _, _, band, _, _, why in asked if band is not None)
     return Reading(tuple(sorted(measures, key=lambda measure: measure.level)))
-
-
-def pitch_at_contact_rad(stride: StrideResult) -> float:
-    """Foot pitch at initial contact, toe-up positive; NaN where no loading response was seen."""
-    return _at_contact(stride, stride.pitch_rad)
-
-
-def roll_at_contact_rad(stride: StrideResult) -> float:
-    """Foot roll at initial contact, inversion positive; NaN where no loading response or no roll is known."""
-    return _at_contact(stride, stride.roll_rad)
-
-
-def _at_contact(stride: StrideResult, angle_rad: FloatArray) -> float:
-    contact_ns = stride.t_loading_response_ns
-    if contact_ns is None or len(angle_rad) < 2 or not stride.t_start_ns <= contact_ns <= stride.t_end_ns:
-        return math.nan
-    return float(np.interp(contact_ns, times_ns(stride), angle_rad))
-
-
-def times_ns(stride: StrideResult) -> FloatArray:
-    """When the stride's trajectory and pitch were."""
-    return np.linspace(stride.t_start_ns, stride.t_end_ns, len(stride.pitch_rad))
 
 
 class Drives(NamedTuple):
@@ -122,6 +86,10 @@ class Drives(NamedTuple):
 
     front: float
     tail: float
+
+    def of(self, measure: Measure) -> float:
+        """What the measure answers to."""
+        return self.tail if measure.name == PITCH else self.front
 
 
 def drives_of(burst: BurstParameters, channel: Channel) -> Drives:
@@ -140,5 +108,4 @@ def bands_per_drive(seen: Sequence[tuple[float, float]], own: RuleSettings) -> f
     drive, level = fmean(d for d, _ in seen), fmean(at for _, at in seen)
     spread = sum((d - drive) ** 2 for d, _ in seen)
     lifted = sum((d - drive) * (at - level) for d, at in seen)
-    slope = (lifted + own.believed / own.drive_per_band) / (spread + own.believed)
-    return min(max(slope, own.flattest), own.steepest)
+    return max((lifted + own.believed / own.drive_per_band) / (spread + own.believed), own.flattest)

@@ -8,7 +8,7 @@ some strides, and is not named. A muscle that tires is the dose ledger's to noti
 
 from collections import deque
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Final
 
 from fes.config import Channel
 from fes.stimulation.tuning.report import Seen
@@ -17,12 +17,7 @@ from fes.stimulation.tuning.targets import ROLL, bands_per_drive, drives_of
 
 SLIPPED: Final = "the electrodes or their lead: the foot is lifted less by the same stimulation"
 DRIFTED: Final = "the electrodes, drying or sliding, or the muscle, tiring: the foot is lifted less and less"
-
-
-class _Stride(NamedTuple):
-    speed_mps: float
-    seen: dict[str, tuple[float, float]]  # by measure: drive and level
-    at_contact: dict[str, bool]
+Answers = dict[str, tuple[float, float]]
 
 
 class FaultWatch:
@@ -30,7 +25,8 @@ class FaultWatch:
 
     def __init__(self, channel: Channel, settings: RuleSettings = OWN) -> None:
         self._channel, self._own = channel, settings
-        self._strides: deque[_Stride] = deque(maxlen=settings.drift_lag + settings.earlier + 1)
+        # of each stride its speed, and by measure the drive and the level
+        self._strides: deque[tuple[float, Answers]] = deque(maxlen=settings.drift_lag + settings.earlier + 1)
         self._first: dict[str, list[tuple[float, float]]] = {}  # the climb tells how the foot answers
         self._doubts = ""
 
@@ -38,19 +34,16 @@ class FaultWatch:
         """Take in a stride; what most likely happened, "" for nothing."""
         if seen.reading is None or seen.skipped:
             return ""
-        front, tail = drives_of(seen.given, self._channel)
-        levels = {
-            measure.name: (seen.intensity * (tail if measure.at_contact else front), measure.level)
+        drives = drives_of(seen.given, self._channel)
+        answers = {
+            measure.name: (seen.intensity * drives.of(measure), measure.level)
             for measure in seen.reading.measures if measure.name != ROLL  # which is the other muscle's as well
         }  # fmt: skip
-        self._strides.append(
-            _Stride(seen.stride.speed_mps, levels, {m.name: m.at_contact for m in seen.reading.measures})
-        )
-        for name, pair in levels.items():
-            first = self._first.setdefault(name, [])
-            if len(first) < self._own.climb:
-                first.append(pair)
-        found = self._named()
+        self._strides.append((seen.stride.speed_mps, answers))
+        for name, answer in answers.items():
+            if len(first := self._first.setdefault(name, [])) < self._own.climb:
+                first.append(answer)
+        found = SLIPPED if self._lost(self._own.newest) else DRIFTED if self._lost(self._own.drift_lag) else ""
         doubts, self._doubts = self._doubts, found  # what is named is seen twice
         if not found or found != doubts:
             return ""
@@ -58,56 +51,28 @@ class FaultWatch:
         self._doubts = ""
         return found
 
-    def _named(self) -> str:
-        sudden, slow = self._lost(self._own.newest), self._lost(self._own.drift_lag)
-        if sudden is None:
-            return ""
-        if sudden.share < self._own.slipped and sudden.stays:
-            return SLIPPED
-        return DRIFTED if slow is not None and slow.share < self._own.slipped and slow.stays else ""
-
-    def _falls(self, lag: int, count: int) -> "list[_Fall]":
-        """Of each measure, by how much the last strides lie below those that ended ``lag`` strides ago."""
+    def _lost(self, lag: int) -> bool:
+        """Whether the last strides show less of the drive than those that ended ``lag`` strides ago, all but one."""
         own, strides = self._own, list(self._strides)
-        newest, then = strides[-count:], strides[-lag - own.earlier : -lag]
-        usual_mps = median(each.speed_mps for each in newest)
-        then = [each for each in then if abs(each.speed_mps - usual_mps) <= own.same_speed * usual_mps]
-        falls = []
-        for name, at_contact in strides[-1].at_contact.items():
-            before = [each.seen[name] for each in then if name in each.seen]
-            after = [each.seen[name] for each in newest if name in each.seen]
-            if len(before) < own.enough or len(after) < count:
-                continue
+        newest, then = strides[-own.newest :], strides[-lag - own.earlier : -lag]
+        if len(strides) < lag + own.enough:
+            return False
+        usual_mps = median(speed_mps for speed_mps, _ in newest)
+        then = [each for each in then if abs(each[0] - usual_mps) <= own.same_speed * usual_mps]
+        lost = weights = surest = 0.0
+        stays = False
+        for name in strides[-1][1]:
+            before = [answers[name] for _, answers in then if name in answers]
+            after = [answers[name] for _, answers in newest if name in answers]
             slope = bands_per_drive(self._first[name], own)
+            lifted = slope * median(drive for drive, _ in after)  # level by which the drive of now is believed to lift
+            if len(before) < own.enough or len(after) < own.newest or lifted <= 0.0:
+                continue
             bare = [level - slope * drive for drive, level in before]
             usual = median(bare)
-            least = own.least_sd_at_contact if at_contact else own.least_sd
-            sd = max(1.4826 * median(abs(each - usual) for each in bare), least)
-            drive = median(drive for drive, _ in after)
-            falls.append(_Fall(at_contact, slope * drive, sd, [usual + slope * d - at for d, at in after]))
-        return falls
-
-    def _lost(self, lag: int) -> "_Lost | None":
-        own = self._own
-        if len(self._strides) < lag + own.enough:
-            return None
-        falls = [fall for fall in self._falls(lag, own.newest) if fall.all_of_it > own.little]
-        if not falls:
-            return None
-        weight = sum((fall.all_of_it / fall.sd) ** 2 for fall in falls)
-        lost = sum(median(fall.by) * fall.all_of_it / fall.sd**2 for fall in falls) / weight
-        lead = max(falls, key=lambda fall: fall.all_of_it / fall.sd)
-        stays = sorted(lead.by)[1] > own.stays * (1.0 - own.slipped) * lead.all_of_it
-        return _Lost(1.0 - lost, stays)
-
-
-class _Fall(NamedTuple):
-    at_contact: bool
-    all_of_it: float  # level by which the drive of now is believed to lift
-    sd: float
-    by: list[float]
-
-
-class _Lost(NamedTuple):
-    share: float
-    stays: bool
+            sd = max(1.4826 * median(abs(each - usual) for each in bare), own.least_sd)
+            falls = sorted(usual + slope * drive - level for drive, level in after)
+            lost, weights = lost + median(falls) * lifted / sd**2, weights + (lifted / sd) ** 2
+            if lifted / sd > surest:
+                surest, stays = lifted / sd, falls[1] > own.stays * (1.0 - own.slipped) * lifted
+        return stays and 1.0 - lost / weights < own.slipped
