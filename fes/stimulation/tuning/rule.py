@@ -1,4 +1,4 @@
-"""The tuning's own rule: what is missing is given at once, what is too much is slowly taken away, stride by stride.
+"""The tuning's own rule: what is missing is given, what is too much is slowly taken away, stride by stride.
 
 It grew from the plain rule of an independent comparison; what was added to it is in the table and in the settings.
 """
@@ -61,6 +61,7 @@ class OwnRule:
     def acted(self, what: str, incline: float | None = None) -> None:
         """A person acted."""
         self._spent = self._vain = self._untaught = 0
+        self._answers.clear()  # on other ground, or from other settings, the foot answers otherwise
         if what != "ground":
             self.state = State.FOLLOW
             self._by_ground.clear()
@@ -117,11 +118,9 @@ class OwnRule:
         if self._vain == own.vain:
             text += ": the foot does not answer to all that the bounds allow, look at the electrodes"
             return Proposal(text, stop=True)
-        if self._spent == own.unreached:
+        if self._spent == own.vain:
             return Proposal(f"{text} is not reached at the upper bound: look at electrodes, fatigue and target")
         return None
-
-    # --- what follows -------------------------------------------------------------------------------------
 
     def _to_the_target(self, seen: Seen) -> tuple[BurstParameters, str]:
         """Settings from before, but nothing to less while something lies below its band."""
@@ -208,6 +207,5 @@ def phases_of(stride: StrideResult) -> tuple[float, ...] | None:
     """Seconds of pre-swing, swing and loading response; None where the stride did not pass all of them."""
     at = (stride.t_pre_swing_ns, stride.t_swing_ns, stride.t_loading_response_ns, stride.t_stance_ns)
     times = [t_ns for t_ns in at if t_ns is not None]
-    if len(times) < len(at) or stride.t_end_ns <= stride.t_start_ns:
-        return None
-    return tuple((b - a) / NS_PER_S for a, b in pairwise(times))
+    whole = len(times) == len(at) and stride.t_end_ns > stride.t_start_ns
+    return tuple((b - a) / NS_PER_S for a, b in pairwise(times)) if whole else None

@@ -33,8 +33,7 @@ class RuleSettings:
     twice: int = 2  # jerked strides in a row (chosen: once may be chance)
     spared: int = 5  # after a fault is named, in which nothing is lowered (chosen: time to look at the electrodes)
     spent: float = 0.99  # drive: from there on there is nothing left to give (TUNER)
-    unreached: int = 5  # at the bound with more wanted: a hint (chosen)
-    vain: int = 6  # at the bound without an answer: the end (TUNER)
+    vain: int = 6  # at the bound with more wanted: a hint, or without an answer the end (TUNER)
     answered: float = 0.25  # level above its strides without stimulation from which a foot answers (chosen) …
     no_answer: float = -0.3  # … or where there are none of these (TUNER)
     untaught: int = 10  # stimulated ones in a row that taught nothing: a hint (chosen)

@@ -62,10 +62,7 @@ def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
     lift = ("toe clearance", stride.toe_clearance_m, tuning.toe_clearance_m)
     if tuning.sensor_clearance_m is not None and not (lift[2] is not None and math.isfinite(lift[1])):
         lift = ("sensor lift", stride.clearance_m, tuning.sensor_clearance_m)
-    no_lift = (
-        "the clearance could not be measured (toe clearance needs [geometry] in the session, or set "
-        "sensor_clearance_m as well)"
-    )
+    no_lift = "the clearance could not be measured (it needs [geometry] in the session, or else sensor_clearance_m)"
     pitch_deg, roll_deg = math.degrees(pitch_at_contact_rad(stride)), math.degrees(roll_at_contact_rad(stride))
     asked = (
         (*lift, 1e3, "mm", no_lift),
