@@ -141,7 +141,7 @@ def lie(walks: int, strides: int = 20) -> None:
                 assert tuner.frozen
                 by_hand = True
             elif act == 4:
-                tuner.tell("ground", 0.05)
+                tuner.acted("ground", 0.05)
 
 
 def test_nothing_goes_over_a_bound_or_a_step_under_a_rule_that_lies() -> None:

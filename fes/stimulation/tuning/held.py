@@ -120,7 +120,7 @@ class Tuner:
     def resume(self, t_ns: int) -> TuningReport:
         """Go on after a freeze."""
         self.frozen, self._going_back = "", False
-        self.tell("resumed")
+        self.acted("resumed")
         return self._report(t_ns, "frozen", "tuning goes on", self.parameters)
 
     def accept(self, t_ns: int) -> TuningReport | None:
@@ -135,11 +135,11 @@ class Tuner:
         """Back to the session's own settings with the next burst, and freeze."""
         before, self.parameters = self.parameters, self.start
         self.freeze(t_ns, "rolled back by the operator")
-        self.tell("rolled back")
+        self.acted("rolled back")
         changes = difference(before, self.parameters) or "nothing had been changed"
         return self._report(t_ns, "roll_back", f"back to the session's settings, tuning is frozen: {changes}", before)
 
-    def tell(self, what: str, incline: float | None = None) -> None:
+    def acted(self, what: str, incline: float | None = None) -> None:
         """Tell the rule what a person did: see :meth:`fes.stimulation.tuning.report.Rule.acted`."""
         try:
             self.rule.acted(what, incline)

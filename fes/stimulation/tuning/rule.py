@@ -84,7 +84,7 @@ class OwnRule:
         drives = drives_of(seen.given, self._channel)
         for measure in seen.reading.measures:
             answers = self._answers.setdefault(measure.name, deque(maxlen=self._own.answers))
-            answers.append((seen.intensity * drives.of(measure), measure.level))
+            answers.append((seen.intensity * drives.behind(measure), measure.level))
         if (phases_s := phases_of(seen.stride)) is not None:
             self._phases.append(phases_s)
         self._since_fault = 0 if seen.noticed else self._since_fault + 1

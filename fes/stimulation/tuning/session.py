@@ -53,7 +53,7 @@ class Tuners:
                 for number, tuner in self.tuners.items():
                     self._filters[number].ground_changed(act.t_ns, free=incline is None)
                     self._watches[number] = FaultWatch(tuner.channel)  # on other ground the foot answers otherwise
-                    tuner.tell("ground", incline)
+                    tuner.acted("ground", incline)
             elif act.action is not OperatorAction.SET_BELT_SPEED:
                 for each in self._filters.values():
                     each.operator_changed(act.t_ns)

@@ -84,7 +84,7 @@ class Drives(NamedTuple):
     front: float
     tail: float
 
-    def of(self, measure: Measure) -> float:
+    def behind(self, measure: Measure) -> float:
         """What the measure answers to."""
         return self.tail if measure.name == PITCH else self.front
 

@@ -36,7 +36,7 @@ class FaultWatch:
             return ""
         drives = drives_of(seen.given, self._channel)
         answers = {
-            measure.name: (seen.intensity * drives.of(measure), measure.level)
+            measure.name: (seen.intensity * drives.behind(measure), measure.level)
             for measure in seen.reading.measures if measure.name != ROLL  # which is the other muscle's as well
         }  # fmt: skip
         self._strides.append((seen.stride.speed_mps, answers))
