@@ -22,11 +22,12 @@ class Finding:
         text: all of it, for people.
         leads: it stands on the first page, right after what must be looked at.
         code: what kind it is, for programs; "" of what is no fault of a sensor.
-        sensor: whose.
+        sensor: whose; of several that say the same, all, with commas between.
         cause: the physical cause, without the sensor's name.
         effect: what it does to which numbers, and by how much.
         remedy: what to do about it.
         corrected: the numbers are those without it.
+        count: how many sensors say the same.
     """
 
     level: Level
@@ -38,6 +39,7 @@ class Finding:
     effect: str = ""
     remedy: str = ""
     corrected: bool = False
+    count: int = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -420,6 +420,8 @@ def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods:
 
 
 def _summarised(result: Analysis) -> _ChunkSummary:
+    from fes.report.findings import merged
+
     chunk = result.chunk or Chunk(result.recording)
     tracks = result.recording.tracks.values()
     begin, end = chunk.begin_ns, chunk.end_ns
@@ -427,7 +429,7 @@ def _summarised(result: Analysis) -> _ChunkSummary:
     end = max(int(track.t_sensor_ns[-1]) for track in tracks) if end == NEVER_NS else end
     points = (f"Clearance, {foot.removesuffix('_foot')}: {known.describe()}" for foot, known in result.points.items())
     strides, no_path = _strides_by_foot(result), tuple(result.no_path.values())
-    return _ChunkSummary(1e-9 * begin, 1e-9 * end, strides, no_path, tuple(points), result.findings)
+    return _ChunkSummary(1e-9 * begin, 1e-9 * end, strides, no_path, tuple(points), merged(result.findings))
 
 
 def _report_chunk(result: Analysis, parameters: GaitParameters, folder: Path, number: int, asked: Options) -> None:

@@ -1,7 +1,8 @@
 """What a session amounts to: short plain sentences with a weight, and the first page that is made of them."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from fes.report.quality import SensorQuality
 from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
-from fes.report.text import capitalised, count_of, number, readable
+from fes.report.text import capitalised, count_of, in_one, number, readable, together, without_numbers
 from fes.stimulation.onset import ONSET
 from fes.stimulation.order import NOTED
 from fes.walk_record import Finding, Level
@@ -33,6 +34,10 @@ _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "good": "No fault found in data and stimulation",
     "info": "No fault found in data and stimulation",
 }
+_LINK_REMEDIES: Final = {
+    "stream": "check the sensor's link",
+    "silence": "check the radio or the cable, and what else the computer does",
+}
 _VERDICT_OF_DATA: Final = "No fault found in the data"
 
 
@@ -40,8 +45,33 @@ DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 
 
 def findings(summary: SessionSummary) -> tuple[Finding, ...]:
-    """All sentences, in the order in which they matter."""
-    return tuple(_findings(summary))
+    """All sentences, in the order in which they matter; what several sensors say alike stands once."""
+    return merged(_findings(summary))
+
+
+def merged(found: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings of one kind and cause as one, with their count and the sensors; numbers as least … greatest.
+
+    Those with numbers in their effect are one only where all of their numbers are equal.
+    """
+    groups: dict[object, list[Finding]] = {}
+    for each in found:
+        said = each.text.partition(": ")[2]
+        like = said if without_numbers(each.effect) != each.effect else without_numbers(said)
+        alike = each.level, each.code, each.corrected, each.remedy, like
+        groups.setdefault(alike if each.code and each.sensor else id(each), []).append(each)
+    return tuple(own[0] if len(own) == 1 else _as_one(own) for own in groups.values())
+
+
+def _as_one(own: Sequence[Finding]) -> Finding:
+    sensors = list(dict.fromkeys(each.sensor for each in own))
+    where = ", ".join(map(readable, sensors))
+    several = len(sensors) > 1
+    who = f"{count_of(len(sensors), 'sensor')} ({where})" if several else f"Sensor {where}, {len(own)} times"
+    text = f"{who}: {in_one([each.text.partition(': ')[2] for each in own])}"
+    causes = [each.cause for each in own]
+    cause = in_one(causes) if len({without_numbers(one) for one in causes}) == 1 else causes[0]
+    return replace(own[0], text=text, sensor=", ".join(sensors), cause=cause, count=len(own))
 
 
 def _findings(summary: SessionSummary) -> Iterator[Finding]:
@@ -260,7 +290,9 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
             yield Finding("warning", text if explained else text + asked, code="few_valid", sensor=name)
     seen = any(foot.swings for foot in summary.feet.values())  # by the samples, whatever the phase machine found
     four, of = sum(row.four_phases for row in summary.strides), "swing" if seen else "stride"
-    text = f"{four} of {count_of(total, of)} passed all four phases in order ({100 * four / total:.1f} %)"
+    of_all = together([name for name, foot in summary.feet.items() if foot.strides or foot.swings])
+    what = " ".join(filter(None, (count_of(total, of), of_all)))
+    text = f"{four} of {what} passed all four phases in order ({100 * four / total:.1f} %)"
     missed = sum(foot.without_loading_response for foot in summary.feet.values())
     put_back = sum(foot.heel_lifts_put_back for foot in summary.feet.values())
     text += f"; {missed} without a loading response (T6)" if missed else ""
@@ -270,11 +302,13 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
         walking_s, lacking_s = round(walking_s, 1), round(lacking_s, 1)
         unexplained = f"no stride explains {lacking_s:.1f} s of {walking_s:.1f} s of walking"
         text += f"; {unexplained if missed_swings else f'strides explain all {walking_s:.1f} s of walking'}"
+        text += f" {of_all}" if of_all else ""
     yield Finding("good" if four >= 0.95 * total else "warning", f"{text}.")
     unused = Counter(row.reason or "no reason given" for row in summary.strides if not row.valid)
     if unused:
         reasons = ", ".join(f"{reason} ({count})" for reason, count in unused.most_common(4))
-        yield Finding("info", f"{count_of(sum(unused.values()), 'stride')} left out of the averages: {reasons}.")
+        left_out = " ".join(filter(None, (count_of(sum(unused.values()), "stride"), of_all)))
+        yield Finding("info", f"{left_out} left out of the averages: {reasons}.")
 
 
 def _speed(summary: SessionSummary) -> Iterator[Finding]:
@@ -295,11 +329,14 @@ def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
         count_of(sensor.doubled, "doubled time stamp") if sensor.doubled else "",
         count_of(sensor.backward, "backward time stamp") if sensor.backward else "",
         f"{count_of(sensor.not_a_number, 'sample')} without a value" if sensor.not_a_number else "",
-        f"longest silence {sensor.longest_silence_ms:.0f} ms" if sensor.longest_silence_ms > SILENCE_MS else "",
     ]
+    silence = f"longest silence {sensor.longest_silence_ms:.0f} ms" if sensor.longest_silence_ms > SILENCE_MS else ""
     told = ", ".join(flaw for flaw in flaws if flaw)
-    if told:
-        yield Finding("warning", f"Sensor {readable(sensor.sensor)}: {told} ({sensor.samples} samples).")
+    # apart: a silence is of the computer or the radio, and so usually of all sensors at once
+    for code, cause in (("stream", told), ("silence", silence)):
+        if cause:
+            text = f"Sensor {readable(sensor.sensor)}: {cause} ({sensor.samples} samples)."
+            yield Finding("warning", text, code=code, sensor=sensor.sensor, cause=cause, remedy=_LINK_REMEDIES[code])
 
 
 def verdict(every: Sequence[Finding], *, only_data: bool) -> tuple[Level, str]:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 DIGITS: Final = {"m": 2, "s": 2, "m/s": 2, "cm": 1, "°": 1, "%": 1, "": 2}  # decimals of a unit
+_NUMBER: Final = re.compile(r"\d+(?:[.,]\d+)?")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,20 @@ def readable(name: str) -> str:
 
 def without_numbers(text: str) -> str:
     """The words of a reason, by which like reasons are told from unlike ones."""
-    return re.sub(r"\d+([.,]\d+)?", "#", text)
+    return _NUMBER.sub("#", text)
+
+
+def in_one(texts: Sequence[str]) -> str:
+    """Texts of the same words as one, each number that differs as ``least … greatest``."""
+    numbers = zip(*([each[0] for each in _NUMBER.finditer(text)] for text in texts), strict=True)
+    ranges = (sorted(set(own), key=lambda one: float(one.replace(",", "."))) for own in numbers)
+    return _NUMBER.sub(lambda _: " … ".join(dict.fromkeys([(own := next(ranges))[0], own[-1]])), texts[0])
+
+
+def together(names: Sequence[str]) -> str:
+    """Of whom a sum is, where it is of more than one foot or shank: ``of both feet together``."""
+    parts = "feet" if all(name.endswith("_foot") for name in names) else "sensors"
+    return f"of {'both' if len(names) == 2 else f'all {len(names)}'} {parts} together" if len(names) > 1 else ""
 
 
 def capitalised(sentence: str) -> str:

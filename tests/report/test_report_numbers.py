@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 
 from fes.live.operator import NO_STOP
 from fes.report.by_hand import hand_rows
-from fes.report.findings import findings
+from fes.report.findings import findings, merged
 from fes.report.stimulation import build_timeline, command_columns, phases_between
 from fes.report.summary import summarise
-from fes.report.text import plain
+from fes.report.text import plain, readable
 from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.signals import OperatorAct, OperatorAction, StimAlive, StimCommand, StimStatus
+from fes.walk_record import Finding
 from statemachine.phases import Phase, PhaseChange, Transition
 
 
@@ -402,3 +403,28 @@ def test_current_at_follows_the_commands_in_force():
     assert not columns.widths_vary
     wider = np.where(columns.on, columns.pulse_width_us + 10.0 * np.arange(len(columns.t_ns)), 0.0)
     assert replace(columns, pulse_width_us=wider).widths_vary
+
+
+def test_what_several_sensors_say_alike_stands_once() -> None:
+    """One silence of the computer is one warning, with how many sensors and which; effects with numbers stay apart."""
+
+    def told(sensor: str, text: str, **about: str) -> Finding:
+        return Finding("warning", f"Sensor {readable(sensor)}: {text}.", sensor=sensor, **about)
+
+    names = ("left_foot", "right_foot", "left_shank", "right_shank")
+    silences = [told(n, f"longest silence {310 + 4 * k} ms", code="silence") for k, n in enumerate(names)]
+    missing = told("left_foot", "3 missing samples", code="stream")
+    lies = [told(n, f"scale off. {k} m", code="scale", effect=f"{k} m") for k, n in enumerate(names[:2])]
+    found = merged([silences[0], missing, *silences[1:], *lies])
+    assert [each.count for each in found] == [4, 1, 1, 1]
+    where = "left foot, right foot, left shank, right shank"
+    assert found[0].text == f"4 sensors ({where}): longest silence 310 … 322 ms."
+    assert found[0].sensor == ", ".join(names)
+    assert found[1:] == (missing, *lies)
+
+
+def test_a_sum_over_two_feet_says_so() -> None:
+    one, two = record_of(make.stride(0, 1.0)), record_of(make.stride(0, 1.0), make.stride(0, 1.7, "right_foot"))
+    passed = [next(f.text for f in findings(summarise(each)) if "passed all four" in f.text) for each in (one, two)]
+    assert passed[0].startswith("1 of 1 stride passed")
+    assert passed[1].startswith("2 of 2 strides of both feet together passed")
