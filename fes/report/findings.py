@@ -13,7 +13,7 @@ from fes.report.quality import SensorQuality
 from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
-from fes.report.text import capitalised, count_of, in_one, number, readable, together, without_numbers
+from fes.report.text import capitalised, count_of, in_one, readable, together, without_numbers
 from fes.stimulation.onset import ONSET
 from fes.stimulation.order import NOTED
 from fes.walk_record import Finding, Level
@@ -34,7 +34,7 @@ _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "good": "No fault found in data and stimulation",
     "info": "No fault found in data and stimulation",
 }
-_LINK_REMEDIES: Final = {
+_LINK_REMEDIES: Final = {  # what of the stream was lost, and what all sensors waited for
     "stream": "check the sensor's link",
     "silence": "check the radio or the cable, and what else the computer does",
 }
@@ -291,8 +291,9 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
     seen = any(foot.swings for foot in summary.feet.values())  # by the samples, whatever the phase machine found
     four, of = sum(row.four_phases for row in summary.strides), "swing" if seen else "stride"
     of_all = together([name for name, foot in summary.feet.items() if foot.strides or foot.swings])
-    what = " ".join(filter(None, (count_of(total, of), of_all)))
-    text = f"{four} of {what} passed all four phases in order ({100 * four / total:.1f} %)"
+    of_all = f"{capitalised(of_all)}: " if of_all else ""
+    text = f"{of_all}{four} of {count_of(total, of)} passed all four phases"
+    text += f" in order ({100 * four / total:.1f} %)" if four < total else ""
     missed = sum(foot.without_loading_response for foot in summary.feet.values())
     put_back = sum(foot.heel_lifts_put_back for foot in summary.feet.values())
     text += f"; {missed} without a loading response (T6)" if missed else ""
@@ -302,13 +303,12 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
         walking_s, lacking_s = round(walking_s, 1), round(lacking_s, 1)
         unexplained = f"no stride explains {lacking_s:.1f} s of {walking_s:.1f} s of walking"
         text += f"; {unexplained if missed_swings else f'strides explain all {walking_s:.1f} s of walking'}"
-        text += f" {of_all}" if of_all else ""
     yield Finding("good" if four >= 0.95 * total else "warning", f"{text}.")
     unused = Counter(row.reason or "no reason given" for row in summary.strides if not row.valid)
     if unused:
         reasons = ", ".join(f"{reason} ({count})" for reason, count in unused.most_common(4))
-        left_out = " ".join(filter(None, (count_of(sum(unused.values()), "stride"), of_all)))
-        yield Finding("info", f"{left_out} left out of the averages: {reasons}.")
+        left_out = count_of(sum(unused.values()), "stride")
+        yield Finding("info", f"{of_all}{left_out} left out of the averages: {reasons}.")
 
 
 def _speed(summary: SessionSummary) -> Iterator[Finding]:
@@ -352,7 +352,7 @@ def is_only_data(summary: SessionSummary) -> bool:
 
 
 def front_page(summary: SessionSummary, more: Sequence[Finding] = ()) -> dict[str, Any]:
-    """The worst level with its words, the first sentences and the others, cards, and the doses.
+    """The worst level with its words, what to do, the first sentences and the others.
 
     Sentences of alerts and warnings come first, then what tuning made of each channel, each in the order in which they
     were found.
@@ -362,31 +362,21 @@ def front_page(summary: SessionSummary, more: Sequence[Finding] = ()) -> dict[st
     calm = levels.index("good")
     ordered = sorted(every, key=lambda one: calm - 0.5 if one.leads else levels.index(one.level))
     level, words = verdict(every, only_data=is_only_data(summary))
-    dose = {row.channel: row for row in summary.dose}
     found = {"level": level, "verdict": words, "first": ordered[:FIRST], "others": ordered[FIRST:]}
-    doses = [(channel, dose.get(channel.channel)) for channel in summary.channels]
-    return {**found, "cards": _cards(summary), "doses": doses}
+    return {**found, "todo": _what_to_do(ordered)}
 
 
-def _cards(s: SessionSummary) -> list[dict[str, str]]:
-    """The key figures of the session: a word from the glossary, a name, a value with its unit, a small line below."""
-    total, swings = len(s.strides), len(s.strides) + sum(foot.unexplained for foot in s.feet.values())
-    four, valid = sum(row.four_phases for row in s.strides), sum(row.valid for row in s.strides)
-    ratio = f"belt {s.belt_speed_mps:.2f}, ratio {number(s.speed_over_belt, 3)}"
-    belt = ratio if s.belt_speed_mps > 0 else "no belt known"
-    cards = [
-        ("stride", "Strides", f"{total}", f"{valid} valid"),
-        ("four phases", "All four phases", f"{100 * four / swings:.0f} %" if swings else "–", f"{four} of {swings}"),
-        ("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
+def _what_to_do(every: Sequence[Finding]) -> str:
+    """What the alerts and warnings ask for, each remedy once with its sensors."""
+    asked: dict[str, list[str]] = {}
+    look = [each for each in every if each.level in ("alert", "warning")]
+    for each in look:
+        asked.setdefault(each.remedy, []).extend(filter(None, each.sensor.split(", ")))
+    told = [
+        remedy + (f" ({', '.join(map(readable, dict.fromkeys(sensors)))})" if sensors else "")
+        for remedy, sensors in asked.items()
+        if remedy
     ]
-    feet = [foot for foot in s.feet.values() if foot.valid]
-    if feet:
-        cadence = sum(foot.cadence_steps_per_min for foot in feet) / len(feet)
-        cards.append(("cadence", "Cadence", f"{number(cadence, 0)} /min", "steps"))
-    if s.channels:
-        bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
-        charge_mc = sum(channel.charge_uc for channel in s.channels) / 1e3
-        cards.append(("burst", "Stimulation", count_of(bursts, "burst"), f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
-    if s.latency.count:
-        cards.append(("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
-    return [dict(zip(("term", "name", "value", "below"), card, strict=True)) for card in cards]
+    if "" in asked:
+        told.append("look at each point marked ✗ or ! before you use the numbers")
+    return f"{capitalised('; '.join(told))}." if look else "Nothing; the numbers can be used."

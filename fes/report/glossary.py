@@ -83,6 +83,8 @@ GLOSSARY: dict[str, str] = {
 
 _MORE = {
     "CV": "Coefficient of variation: standard deviation over the size of the mean (%).",
+    "interval": "The mean of endless walking just like this lies there 95 times in 100; strides are taken to be like "
+    "their neighbours. It knows nothing of errors that all strides share.",
     "n": "How many steady strides the mean is of: within 30 % of the median stride's length, turning by 20° at most.",
     "usual": "What a published source found; of healthy people over ground, not of this person. "
     + "; ".join(norm.hover() for norm in NORMS.values()),

@@ -20,8 +20,9 @@ from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
+from fes.report.key_numbers import key_numbers
 from fes.report.moments import moment_data
-from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, walk_rows
+from fes.report.parameter_table import parameter_rows, scales_in_words, walk_rows
 from fes.report.quality import describe_flags
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 LONG_TABLE_ROWS = 200  # on paper a longer table stops here
 STYLES = ("uPlot.min.css", "report.css", "report_page.css")
-SCRIPTS = ("moments.js", "report.js", "terms.js", "space.js")
+SCRIPTS = ("folds.js", "moments.js", "report.js", "terms.js", "space.js")
 
 
 def write_report(
@@ -83,7 +84,6 @@ def render_report(
 
         section = hemiparetic_section(hemiparetic)
     spaces = [figure for figure in (space, section.space if section else None) if figure is not None]
-    walk = walk_rows(measured)
     named = " – ".join(part[:60] for part in (summary.name, summary.subject, local_time(summary.created)) if part)
     running_head = f"@page {{ @top-left {{ content: {css_text(named)}; }} }}\n"
     parts = {key: value for key, value in record.header.items() if isinstance(value, (dict, list)) and value}
@@ -97,9 +97,8 @@ def render_report(
         from_samples=gait is not None,
         compared=next((f"{both.first} over {both.second}" for both in measured.sides.values()), ""),
         common_scales=scales_in_words(measured),
-        key_rows=parameter_rows(measured, flags, KEY_NUMBERS),
-        walk_rows=walk,
-        front_walk=[row for row in walk if row.norm],
+        cards=key_numbers(summary, measured),
+        walk_rows=walk_rows(measured),
         parameter_rows=parameter_rows(measured, flags),
         hemiparetic=section,
         flags=flags,

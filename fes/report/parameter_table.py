@@ -13,10 +13,6 @@ from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, describe_flags
 from fes.report.text import DIGITS, number, readable
 
-KEY_NUMBERS: Final = (
-    *("stride_length_common_m", "stride_time_s", "swing_s", "stance_share", "double_support_share", "lift_m"),
-    *("toe_clearance_m", "circumduction_m", "angle_contact_rad"),
-)
 _TIMES: Final = (
     *("stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share", "step_time_s"),
     *("double_support_s", "double_support_share"),
@@ -77,12 +73,10 @@ def scales_in_words(gait: GaitParameters) -> str:
     return ", ".join(f"{readable(foot)} by {percent:+.2f} %" for foot, percent in scaled.items())
 
 
-def parameter_rows(
-    gait: GaitParameters, flags: Mapping[tuple[str, int], Sequence[Flag]], keys: Sequence[str] = STRIDE_KEYS
-) -> list[ParameterRow]:
+def parameter_rows(gait: GaitParameters, flags: Mapping[tuple[str, int], Sequence[Flag]]) -> list[ParameterRow]:
     """A row for every parameter of which anything is known."""
     rows = []
-    for key in keys:
+    for key in STRIDE_KEYS:
         if not any(found[key].n for found in gait.feet.values()):
             continue
         known, both = DEFINITIONS[key], gait.sides.get(key)

@@ -67,9 +67,9 @@ def in_one(texts: Sequence[str]) -> str:
 
 
 def together(names: Sequence[str]) -> str:
-    """Of whom a sum is, where it is of more than one foot or shank: ``of both feet together``."""
+    """Of whom a sum is, where it is of more than one foot or shank: ``both feet together``."""
     parts = "feet" if all(name.endswith("_foot") for name in names) else "sensors"
-    return f"of {'both' if len(names) == 2 else f'all {len(names)}'} {parts} together" if len(names) > 1 else ""
+    return f"{'both' if len(names) == 2 else f'all {len(names)}'} {parts} together" if len(names) > 1 else ""
 
 
 def capitalised(sentence: str) -> str:

@@ -87,7 +87,7 @@ def test_report_holds_every_section_and_loads_nothing(tmp_path):
     sections |= {"parameters"}
     assert sections | {"settings", "words"} <= page.ids
     assert "Research software, not a medical device" in page.text
-    assert "24 of 24 swings of both feet together passed all four phases" in page.text
+    assert "24 of 24 swings passed all four phases" in page.text
     assert "2026-11-20 10:00 UTC" in page.text
     # first page, over the stride, butterfly, space, each stride, phases, stimulation, envelopes, swing, latency
     assert html.count('<svg class="plot') == 2 + 3 + 2 + 1 + 2 + 2 + 2 + 2 + 2 + 1

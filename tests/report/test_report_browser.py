@@ -60,9 +60,15 @@ def page(tmp_path_factory):
     with chromium(folder / "profile") as browser:
         browser.size(1280, 900)
         browser.go((folder / "report.html").as_uri())
+        assert browser.run(f"{FOLDS}.map(fold => fold.open)") == [False] * 3
+        browser.run("location.hash = '#paths'")
+        assert browser.until(f"{FOLDS}[0].open"), "a link to what is folded opens it"
+        browser.run(f"{FOLDS}.forEach(fold => fold.open = true)")
+        browser.scroll_to("body")
         yield browser
 
 
+FOLDS = "[...document.querySelectorAll('details.role')]"
 TIP = "document.getElementById('tip')"
 TERM = "document.querySelector('#parameters tbody a.term')"
 
@@ -152,12 +158,20 @@ def test_the_printed_summary_is_the_first_page(page: Page, tmp_path):
     page.call("Emulation.setEmulatedMedia", media="print")
     bottom = page.run("document.getElementById('summary').getBoundingClientRect().bottom + scrollY")
     assert 300 < bottom < A4_HEIGHT_PX
-    assert page.run("getComputedStyle(document.getElementById('summary')).breakAfter") == "page"
+    assert page.run(f"{FOLDS}.map(fold => getComputedStyle(fold).breakBefore)") == ["page"] * 3
     assert page.run("getComputedStyle(document.querySelector('nav')).display") == "none"
     page.call("Emulation.setEmulatedMedia", media="")
     page.size(1280, 900)
-    pdf = base64.b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
-    assert 4 <= len(re.findall(rb"/Type /Page\b(?!s)", pdf)) <= 20
+
+    def printed() -> tuple[bytes, int]:
+        pdf = base64.b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+        return pdf, len(re.findall(rb"/Type /Page\b(?!s)", pdf))
+
+    page.run(f"{FOLDS}.forEach(fold => fold.open = false)")
+    assert printed()[1] == 1, "what is folded on the screen is not printed"
+    page.run(f"{FOLDS}.forEach(fold => fold.open = true)")
+    pdf, sheets = printed()
+    assert 4 <= sheets <= 20
     if (reader := shutil.which("pdftotext")) is None:
         return
     (tmp_path / "report.pdf").write_bytes(pdf)
@@ -165,8 +179,9 @@ def test_the_printed_summary_is_the_first_page(page: Page, tmp_path):
         [reader, "-layout", str(tmp_path / "report.pdf"), "-"], capture_output=True, text=True, check=True
     ).stdout.split("\f")
     assert "No fault found in data and stimulation" in told[0]
-    assert "Stimulation dose" in told[0]
+    assert "What to do: Nothing" in told[0]
+    assert told[0].count("±") >= 4
     assert "page 1 of" in told[0]
-    assert "Gait parameters" not in told[0]
-    assert "Gait parameters" in told[1]
+    assert "How the feet moved" not in told[0]
+    assert "How the feet moved" in told[1]
     assert all("not a medical device" in sheet for sheet in told[:-1])

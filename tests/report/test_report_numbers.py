@@ -427,4 +427,4 @@ def test_a_sum_over_two_feet_says_so() -> None:
     one, two = record_of(make.stride(0, 1.0)), record_of(make.stride(0, 1.0), make.stride(0, 1.7, "right_foot"))
     passed = [next(f.text for f in findings(summarise(each)) if "passed all four" in f.text) for each in (one, two)]
     assert passed[0].startswith("1 of 1 stride passed")
-    assert passed[1].startswith("2 of 2 strides of both feet together passed")
+    assert passed[1].startswith("Both feet together: 2 of 2 strides passed")

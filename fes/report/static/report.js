@@ -313,7 +313,7 @@
     const near = (t) => show(t - 0.8, t + 0.8);
     for (const link of document.querySelectorAll("[data-at]")) link.addEventListener("click", () => near(Number(link.dataset.at)));
     const asked = /^#at=([\d.]+)$/.exec(location.hash);
-    if (asked) { near(Number(asked[1])); place.scrollIntoView(); }
+    if (asked) { place.closest("details")?.setAttribute("open", ""); near(Number(asked[1])); place.scrollIntoView(); }
     document.addEventListener("keydown", (event) => {
       if (event.target.matches("input, summary, [tabindex], a") || event.ctrlKey || event.metaKey || event.altKey) return;
       const act = { ArrowLeft: "back", ArrowRight: "on", "+": "in", "-": "out" }[event.key];
