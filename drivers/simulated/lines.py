@@ -13,7 +13,6 @@ import os
 import select
 import socket
 import time
-import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -53,6 +52,8 @@ class PtyEnd(DeviceEnd):
     """A pseudo-terminal; the host opens its other end like a serial port."""
 
     def __init__(self) -> None:
+        import tty  # here, for only this line needs more than any computer has
+
         # the other end stays open here as well, so that a host that leaves is not the end of the line
         self._own, self._other = os.openpty()
         tty.setraw(self._other)

@@ -14,6 +14,7 @@ import click
 
 from fes.cli.common.exits import FAILED, Problem, StoppedEarly, interrupted
 from fes.cli.common.options import Number
+from fes.cli.common.processors import processors
 from fes.cli.common.show import print_json
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def command(
     Exit code: 0 all analysed, 1 some not, 2 unusable arguments or storage, 3 stopped early (no room for the results,
     the scheduler gone), 130 interrupted.
     """
-    from fes.cohort.engine import analyse_all, cluster, processors
+    from fes.cohort.engine import analyse_all, cluster
     from fes.cohort.sources import find_sources, program
     from fes.cohort.store import RECORDINGS, Store
     from fes.cohort.task import Settings, drop_replaced

@@ -4,7 +4,6 @@ Compiling takes far longer than analysing, and one process compiles on one proce
 in processes of their own, which keep what they have made (:mod:`fes.estimation.numerics.jit`) for all.
 """
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -15,6 +14,7 @@ from pathlib import Path
 import click
 
 from fes.cli.common.exits import FAILED
+from fes.cli.common.processors import processors
 from fes.estimation.numerics.jit import KEPT, compiled_here
 
 AHEAD_PARTS = ("strides", "path", "events")
@@ -31,7 +31,7 @@ def compiled_ahead() -> Iterator[None]:
         yield
         return
     click.secho("First run: compiling, which takes a minute (fes compile does it ahead) …", fg="yellow", err=True)
-    with in_processes(AHEAD_PARTS, len(os.sched_getaffinity(0)) - 1) as left:
+    with in_processes(AHEAD_PARTS, processors() - 1) as left:
         yield
     KEPT.fetch()
     for part in left:
@@ -138,7 +138,7 @@ def command(check: bool) -> None:
         click.echo(f"All is compiled, in {KEPT.root}")
         return
     click.echo(f"Compiling for this processor, into {KEPT.root} …")
-    parts, together = FIRST_PARTS, len(os.sched_getaffinity(0))
+    parts, together = FIRST_PARTS, processors()
     while parts and together > 1:
         with in_processes(parts, together) as left:
             pass

@@ -4,12 +4,13 @@ import difflib
 import gc
 import importlib
 import os
+import sys
 from typing import Any, Final
 
 import click
 
 from fes import __version__
-from fes.cli.common.exits import INTERRUPTED, Broken
+from fes.cli.common.exits import INTERRUPTED, Broken, Problem
 
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
@@ -43,6 +44,13 @@ COMMANDS: Final = {
 }
 
 
+LIVE: Final = ("run", "exercise", "doctor", "hil")
+WANTS_LINUX: Final = (
+    "fes {} wants Linux. A live session relies on what only Linux gives it: a priority that other programs cannot take "
+    "(SCHED_FIFO), memory that is never swapped out (mlockall), processes that are told when the session dies "
+    "(PR_SET_PDEATHSIG). Without them nothing would promise when stimulation ends. What works on files (fes analyse, "
+    "cohort, evaluate, report, replay …) and notebooks run on this computer too."
+)
 FEWER_COLLECTIONS: Final = (
     300_000  # new objects between two: more than a short command makes, and hardly any is garbage
 )
@@ -59,6 +67,8 @@ class LazyGroup(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
+        if cmd_name in LIVE and sys.platform != "linux":
+            raise Problem(WANTS_LINUX.format(cmd_name))
         command = importlib.import_module(COMMANDS[cmd_name][0]).command
         return command if isinstance(command, click.Command) else None
 

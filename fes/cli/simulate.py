@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -21,6 +22,7 @@ from fes.cli.common.loop_view import stride_line
 from fes.cli.common.options import PATH, SENSOR_KINDS, SIDE, STIMULATORS, Number, choice, given_options, out_option
 from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show_latched
+from fes.cli.main import WANTS_LINUX
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
@@ -167,6 +169,8 @@ def command(
     others = {name: value for name, value in given.items() if value is not None}
     options = Options(**chosen)
     on_line = given_options()
+    if live and sys.platform != "linux":
+        raise Problem(WANTS_LINUX.format("simulate --live"))
     if live and (idle := sorted(on_line & {"stimulate", "session", "overwrite", "as_json"})):
         named = "json" if idle[0] == "as_json" else idle[0]
         raise Problem(f"--{named} has no meaning with --live: the session file is written, and `fes run` stimulates.")

@@ -12,6 +12,7 @@ import click
 from fes.cli.cohort import absolute, progress_bar, results_at, resumable, unfinished
 from fes.cli.common.exits import FAILED, Problem, failing, writing
 from fes.cli.common.options import PATH, Number
+from fes.cli.common.processors import processors
 from fes.cli.common.show import print_json, screen
 from fes.walk_record import finite_or_none
 
@@ -89,7 +90,7 @@ def command(
     import pyarrow as pa
     from pyarrow import parquet
 
-    from fes.cohort.engine import cluster, processors, run_tasks
+    from fes.cohort.engine import cluster, run_tasks
     from fes.cohort.sources import find_sources
     from fes.cohort.sweep.grid import combinations_of, parse_axis
     from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store

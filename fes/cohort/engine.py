@@ -5,6 +5,7 @@ A time limit holds whatever a piece of work hangs in: its process is ended, as b
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import pickle
 import signal
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 _SOONEST_S: Final = 1e-3  # no time left is no timer
 _due_s: dict[int, float] = {}  # by thread: a worker may have several
 _lock = threading.Lock()
+_NOWHERE: Final = open(os.devnull, "w")  # noqa: SIM115, PTH123 - for as long as this process lives
 AHEAD: Final = 2  # batches of a worker process: the one it works on, and the next
 BATCH_S: Final = 2.0  # of work in a batch, about: handing one over takes this process 3 ms and the worker's as much …
 BATCHES: Final = 2  # … but of what is left no more than this part of a worker's share, so that all end together …
@@ -50,8 +52,8 @@ OnOutcome = Callable[[Outcome], None]
 def ended_after(limit_s: float | None) -> Iterator[None]:
     """While entered, this process ends after ``limit_s``; None: never.
 
-    By a signal whose handler is left as it is: neither a read that waits for ever nor a compiled loop that lets
-    nobody else have a turn can keep it from that.
+    By a signal whose handler is left as it is, or where there is none by faulthandler's own thread: neither a read that
+    waits for ever nor a compiled loop that lets nobody else have a turn can keep it from that.
     """
     if limit_s is None:
         yield
@@ -68,8 +70,13 @@ def _set_due(due_s: float | None) -> None:
         _due_s.pop(threading.get_ident(), None)
         if due_s is not None:
             _due_s[threading.get_ident()] = due_s
-        left_s = [max(each - time.monotonic(), _SOONEST_S) for each in _due_s.values()]
-        signal.setitimer(signal.ITIMER_REAL, min(left_s, default=0.0))
+        left_s = min((max(each - time.monotonic(), _SOONEST_S) for each in _due_s.values()), default=0.0)
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, left_s)
+        elif left_s:  # Windows: a thread outside Python; it tells where the others are, which nobody asked for
+            faulthandler.dump_traceback_later(left_s, exit=True, file=_NOWHERE)
+        else:
+            faulthandler.cancel_dump_traceback_later()
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,8 +268,3 @@ def _work_on(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome
 def dask_setup(worker: object) -> None:
     """Leave Ctrl-C to the process that was asked: it ends its workers, which would each print a trace."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def processors() -> int:
-    """As many processes as this one may use processors."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

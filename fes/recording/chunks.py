@@ -29,7 +29,7 @@ def keep_freed_memory() -> bool:
     """Keep up to a quarter of a gigabyte that is free; False where the C library has no such setting (not glibc)."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, AttributeError):
+    except (OSError, AttributeError, TypeError):  # TypeError: Windows has no library of that name
         return False
     return bool(mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES) and mallopt(_TRIM_THRESHOLD, _KEPT_BYTES))
 

@@ -12,7 +12,6 @@ Only numba's documented interface is used.
 
 import atexit
 import errno
-import fcntl
 import hashlib
 import json
 import logging
@@ -27,6 +26,7 @@ from typing import Any, Final, TypeVar, cast
 import numba
 
 import fes.signals
+from fes.estimation.numerics.file_lock import lock
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -59,7 +59,7 @@ class KeptCode:
                     shutil.rmtree(other, ignore_errors=True)
             self.own = Path(tempfile.mkdtemp(prefix="process-", dir=root))
             self._alive = (self.own / "alive").open("w")  # locked for as long as this process lives
-            fcntl.flock(self._alive, fcntl.LOCK_EX)
+            lock(self._alive)
         self.fetch()
 
     def is_empty(self) -> bool:
@@ -120,7 +120,7 @@ class KeptCode:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         with (self.root / "lock").open("a") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+            lock(file)
             yield
 
     def _listed(self) -> dict[str, dict[str, int]]:
@@ -157,8 +157,10 @@ def _put(file: str, target: str) -> None:
 
 
 def _write_through(path: Path) -> None:
-    """Have the disk hold a file, or a folder's names."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Have the disk hold a file, or a folder's names; Windows asks for a file opened to write, and opens no folder."""
+    if os.name == "nt" and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -169,7 +171,7 @@ def _is_alive(folder: Path) -> bool:
     """Whether the process is alive that a folder belongs to."""
     try:
         with (folder / "alive").open() as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(file, wait=False)
     except BlockingIOError:
         return True
     except OSError:
@@ -202,9 +204,10 @@ def _kept_code() -> KeptCode | None:
         return _kept_in(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fes-gait" / name)
     except (OSError, RuntimeError):  # a read-only home, or none: compile once per boot instead of once per version
         try:
-            own = Path(tempfile.gettempdir()) / f"fes-gait-{os.getuid()}"
+            user = os.getuid() if hasattr(os, "getuid") else 0  # Windows: its folder is the user's alone, st_uid is 0
+            own = Path(tempfile.gettempdir()) / f"fes-gait-{user}"
             own.mkdir(exist_ok=True, mode=0o700)
-            if own.stat().st_uid != os.getuid():  # anybody can make it, and what is in it would be run
+            if own.stat().st_uid != user:  # anybody can make it, and what is in it would be run
                 raise PermissionError(f"{own} belongs to somebody else")
             return _kept_in(own / name)
         except OSError as error:  # nor anything else: compile at every start
