@@ -1,4 +1,4 @@
-"""A detector or a stride method of another package in place of this program's own, in a finished analysis.
+"""A detector or a stride method of somebody else in place of this program's own, in a finished analysis.
 
 A detector is ``detector(track, calibration)`` → ``{"FO": (K,), "IC": (L,)}``, foot off and initial contact in s from
 the track's first sample. A stride method is ``method(track, calibration, t_start_s, t_end_s)`` → stride lengths (M,)
@@ -25,24 +25,35 @@ UNKNOWN_LENGTH = "the stride method gave no length"
 
 
 def with_own_methods(
-    analyses: Iterable[Analysis], detector: str | None = None, stride_method: str | None = None
+    analyses: Iterable[Analysis],
+    detector: str | Detector | None = None,
+    stride_method: str | StrideMethod | None = None,
 ) -> Iterator[Analysis]:
-    """The analyses with events and stride lengths by these names of entry points; None keeps this program's own.
+    """The analyses with events and stride lengths by these functions, or entry points' names; None keeps our own.
 
     Phases, the path and clearance stay as they are: they do not rest on the events found off-line.
 
     Raises:
         ExtensionError: there is no such part, or what it gave is no such result.
     """
-    find = load_extension("detector", detector) if detector else None
-    measure = load_extension("stride method", stride_method) if stride_method else None
+    find, found_by = _part("detector", detector)
+    measure, measured_by = _part("stride method", stride_method)
     for analysis in analyses:
         found = analysis
         if find is not None:
-            found = replace(found, events={foot: _events(found, foot, find, str(detector)) for foot in found.events})
+            found = replace(found, events={foot: _events(found, foot, find, found_by) for foot in found.events})
         if measure is not None:
-            found = replace(found, measured_strides=_strides(found, measure, str(stride_method)))
+            found = replace(found, measured_strides=_strides(found, measure, measured_by))
         yield found
+
+
+def _part(kind: str, given: Any) -> tuple[Any, str]:
+    """The function and its name; (None, "") of None."""
+    if given is None or callable(given):
+        return given, getattr(given, "__name__", type(given).__name__)
+    if not isinstance(given, str):
+        raise ExtensionError(f"{kind} must be a function or a name, is {type(given).__name__}")
+    return load_extension(kind, given), given
 
 
 def _events(analysis: Analysis, foot: str, find: Detector, name: str) -> GaitEvents:
@@ -84,7 +95,10 @@ def _strides(analysis: Analysis, measure: StrideMethod, name: str) -> list[Strid
         ends_ns = np.array([(strides[k].t_start_ns, strides[k].t_end_ns) for k in mine], np.int64)
         start_s, end_s = ((ends_ns - int(track.t_sensor_ns[0])) / NS_PER_S).T
         given = _called(name, measure, track, analysis.calibrations[foot], start_s, end_s)
-        lengths_m = np.asarray(given, np.float64)
+        try:
+            lengths_m = np.asarray(given, np.float64)
+        except (TypeError, ValueError) as error:
+            raise ExtensionError(f"stride method {name!r} must give lengths in m: {error}") from None
         if lengths_m.shape != (len(mine),) or np.isinf(lengths_m).any() or (lengths_m < 0).any():
             raise ExtensionError(
                 f"stride method {name!r} must give {len(mine)} lengths in m for {foot}, none below 0 or infinite; "
@@ -100,7 +114,7 @@ def _strides(analysis: Analysis, measure: StrideMethod, name: str) -> list[Strid
 
 
 def _called(name: str, part: Callable[..., Any], *arguments: object) -> Any:
-    """What another package's function gives; whatever it raises is told with its name."""
+    """What somebody else's function gives; whatever it raises is told with its name."""
     try:
         return part(*arguments)
     except Exception as error:  # another's code

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 from fes import config
-from fes.analysis.own_methods import with_own_methods
+from fes.analysis.own_methods import Detector, StrideMethod, with_own_methods
 from fes.analysis.pipeline import analyse_chunks, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.analysis.tables import table_of
@@ -75,8 +75,8 @@ def analyse(
     calibration: SensorCalibrations | File | None = None,
     ground: Literal["level", "free"] | float | None = None,
     geometry: Mapping[str, FootGeometry] | None = None,
-    detector: str | None = None,
-    stride_method: str | None = None,
+    detector: str | Detector | None = None,
+    stride_method: str | StrideMethod | None = None,
 ) -> Result:
     """Find strides, events, phases, the path over the ground and gait parameters.
 
@@ -87,7 +87,7 @@ def analyse(
             measured. Default: as the recording's sidecar says, else level.
         geometry: by foot, where toe and heel are. Default: the recording's own, or else estimated from the walk.
         detector: of foot off and initial contact, and
-        stride_method: of stride lengths: names of parts that another package brings (docs/extensions.md).
+        stride_method: of stride lengths: functions, or names of parts that another package brings (docs/extensions.md).
 
     Raises:
         RecordingError: as of :func:`read`.
