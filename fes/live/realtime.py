@@ -7,7 +7,6 @@ Figures from runs on a shared two-core machine (500 Hz loop, three busy processe
 import ctypes
 import gc
 import os
-import resource
 import sys
 from dataclasses import dataclass
 from typing import Final
@@ -52,6 +51,8 @@ def locked_memory() -> Grant:
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         # under a limit, locking future pages too would make a later allocation fail in mid-session
+        import resource  # here, for a replay, which imports this, runs where it is not
+
         unlimited = os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
         if libc.mlockall(_MCL_CURRENT | (_MCL_FUTURE if unlimited else 0)):
             refused = f"refused ({os.strerror(ctypes.get_errno())})"
