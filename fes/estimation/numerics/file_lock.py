@@ -15,7 +15,8 @@ except ImportError:  # Windows
         while True:
             os.lseek(file.fileno(), 0, os.SEEK_SET)
             try:
-                return getattr(msvcrt, "locking")(file.fileno(), mode, 1)  # noqa: B009 - typed on Windows alone
+                getattr(msvcrt, "locking")(file.fileno(), mode, 1)  # noqa: B009 - typed on Windows alone
+                return
             except OSError as error:
                 if not wait and error.errno == errno.EACCES:
                     raise BlockingIOError(*error.args) from error
