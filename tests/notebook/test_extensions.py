@@ -93,7 +93,7 @@ def test_an_unknown_device_is_refused_with_those_that_are_there(installed):
 
 
 def test_without_the_package_its_devices_are_unknown():
-    with pytest.raises(ConfigError, match=r"'capture2go' or 'lsl'$"):
+    with pytest.raises(ConfigError, match=r"'capture2go_ble' or 'lsl'$"):
         validate_session(session(), Path("session.toml"))
 
 
