@@ -39,7 +39,7 @@ sys.modules["msvcrt"] = types.SimpleNamespace(LK_LOCK=1, LK_NBLCK=2, locking=loc
 GONE = {
     os: ("fork", "forkpty", "getuid", "geteuid", "getpgrp", "sched_getaffinity", "sched_setaffinity",
          "sched_setscheduler", "eventfd", "openpty", "ttyname", "O_NOCTTY"),
-    signal: ("SIGALRM", "SIGCONT", "SIGHUP", "SIGKILL", "SIGSTOP", "SIGUSR1", "setitimer", "ITIMER_REAL"),
+    signal: ("SIGALRM", "SIGCONT", "SIGHUP", "SIGSTOP", "SIGUSR1", "setitimer", "ITIMER_REAL"),
     socket: ("AF_UNIX",),
 }
 for module, names in GONE.items():
