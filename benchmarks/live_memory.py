@@ -66,6 +66,7 @@ class TwoFeet:
     """A line with a sample of each foot whenever it is read; reading moves the clock on and presses keys."""
 
     sensors = FOOT_SENSORS
+    notices = ()
 
     def __init__(self, clock: Clock, keys: int, script: dict[int, bytes]) -> None:
         self._clock, self._keys, self._script = clock, keys, script
