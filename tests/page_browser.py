@@ -83,13 +83,23 @@ class Page:
         return box[0], box[1]
 
     def scroll_to(self, selector: str) -> None:
-        """Bring an element to the middle of the window; the page has been told of the scrolling when this returns.
+        """Bring an element to the middle of the window; when this returns it stays there.
 
-        It is told with the next frame. A pointer that came sooner would have its effect undone by that.
+        The page is told of the scrolling with the next frame, and a pointer that came sooner would have its effect
+        undone by that. What was unfolded just before is laid out in later frames still, and moves what is below it.
         """
         self.run(
-            f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center', behavior: 'instant'}}), "
-            "new Promise(told => requestAnimationFrame(() => requestAnimationFrame(told)))"
+            f"""(element => new Promise(stays => {{
+                let place = NaN, frames = 0;
+                const look = () => {{
+                    element.scrollIntoView({{block: "center", behavior: "instant"}});
+                    const {{top}} = element.getBoundingClientRect();
+                    frames = top === place ? frames + 1 : 0;
+                    place = top;
+                    if (frames === 3) stays(); else requestAnimationFrame(look);
+                }};
+                look();
+            }}))(document.querySelector({json.dumps(selector)}))"""
         )
 
     def press(self, selector: str) -> int:
