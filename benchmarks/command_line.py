@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from figures import Figures, Result, digest
 from rich.console import Console
 from rich.table import Table
@@ -70,6 +71,14 @@ def _command(typed: Sequence[str]) -> str:
         elif not word.startswith(tuple(f"{name}=" for name in ASIDE)):
             kept.append(word)
     return " ".join(["python", f"benchmarks/{Path(typed[0]).name}", *kept])
+
+
+def spread(values: Sequence[float]) -> str:
+    """Median [5 %, 95 %], whole numbers with their signs."""
+    if not len(values):
+        return "–"
+    low, middle, high = np.percentile(values, (5, 50, 95))
+    return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
 
 
 def save(results: Any, path: Path | None) -> None:

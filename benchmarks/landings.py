@@ -19,12 +19,12 @@ late in the median and 80 ms in 95 %, nobody refused.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import product
 from math import radians
 
 import numpy as np
-from command_line import console_of, parser_of, publish, verdict
+from command_line import console_of, parser_of, publish, spread, verdict
 from every_walker import calibrate, causal
 from rich.table import Table
 from scipy.interpolate import BPoly
@@ -68,6 +68,10 @@ class Late:
     flat: list[float] = field(default_factory=list)
     left: list[float] = field(default_factory=list)
 
+    def with_feet(self, other: Late) -> Late:
+        """Of both together."""
+        return Late(*(getattr(self, each.name) + getattr(other, each.name) for each in fields(self)))
+
 
 def walk(landing: str, pace: str, number: int) -> Made:
     """One foot's walk: x forward, z up, pitch toe-up."""
@@ -80,7 +84,7 @@ def walk(landing: str, pace: str, number: int) -> Made:
     length_m, roll_on, strike = draw(0.5, 1.2) * min(1.2 / cycle_s, 1.0), draw(0.3, 1.5), draw(0.1, 0.5)
     lies_on = heel_m if lands > 0.0 else toe_m
     knots: list[tuple[float, list[float]]] = [(0.0, [0.0, 0.0, 0.0])]  # of the pitch: value, rate, acceleration
-    rises, offs, contacts, ends_s, places = [], [], [], [STAND_S], []
+    rises, offs, contacts, flats, places = [], [], [], [], []
     now_s, x_m = STAND_S, 0.0
     for _ in range(STRIDES):
         vary = random.normal(1.0, 0.03, 6)
@@ -96,7 +100,7 @@ def walk(landing: str, pace: str, number: int) -> Made:
         rises.append(now_s)
         offs.append(now_s + rise_s)
         contacts.append(contact_s)
-        ends_s.append(contact_s + loading_s)
+        flats.append(contact_s + loading_s)
         places.append(x_m)
         now_s, x_m = contact_s + loading_s + stance_s, x_m + length_m * random.normal(1.0, 0.03)
     knots.append((now_s, [0.0, 0.0, 0.0]))
@@ -123,8 +127,9 @@ def walk(landing: str, pace: str, number: int) -> Made:
     path = np.empty((len(t_s), 2))
     x_now = 0.0
     stop_s = draw(0.012, 0.03)  # in which shoe and heel pad take up what is left of the speed
-    for flat_s, off, contact, x_next in zip([0.0, *ends_s[1:-1]], offs, contacts, [*places[1:], x_m], strict=True):
-        begin, first, last = (int(i) for i in np.searchsorted(t_s, (flat_s, off, contact)))
+    spans = zip([0.0, *flats[:-1]], offs, contacts, [*flats[:-1], end_s], [*places[1:], x_m], strict=True)
+    for flat_s, off, contact, until_s, x_next in spans:
+        begin, first, last, end = (int(i) for i in np.searchsorted(t_s, (flat_s, off, contact, until_s)))
         path[begin:first] = sensor(toe_m, on_ground(x_now, toe_m), t_s[begin:first])
         left = ends(toe_m, on_ground(x_now, toe_m), off, (0.0, 0.0))
         drift = (strike * 0.5, -strike)
@@ -138,10 +143,10 @@ def walk(landing: str, pace: str, number: int) -> Made:
                 [off, 0.5 * (off + contact), contact], [left[:, axis], [high[axis], speed[axis]], right[:, axis]]
             )
             path[first:last, axis] = flight(t_s[first:last])
-        after = t_s[last:] - contact
+        after = t_s[last:end] - contact
         rest = np.minimum(after, stop_s)
         moved = np.outer(rest - 0.5 * rest**2 / stop_s, drift)
-        path[last:] = sensor(lies_on, sunk + moved, t_s[last:])
+        path[last:end] = sensor(lies_on, sunk + moved, t_s[last:end])
         x_now = x_next
     made = Made(_track(random, t_s, path, pitch, contacts))
     flat = np.abs(pitch) <= FLAT_RAD
@@ -180,15 +185,14 @@ def _track(
     return track_of("right_foot", float(RATE_HZ), acc, gyr)
 
 
-def judge(made: Made, late: Late) -> None:
-    """Add one foot's delays; the first two strides, of a foot that nobody has seen walk, count as all others do."""
-    late.feet += 1
-    late.strides += len(made.contact_s)
+def judge(made: Made) -> Late:
+    """One foot's delays; the first two strides, of a foot that nobody has seen walk, count as all others do."""
+    late = Late(feet=1, strides=len(made.contact_s))
     try:
         changes, _ = causal(made.track, calibrate(made.track))
     except CalibrationError:
-        late.refused += 1
-        return
+        late.refused = 1
+        return late
     t_s = {
         which: np.array([1e-9 * (c.t_ns - made.track.t_ns[0]) for c in changes if c.transition is which] or [np.inf])
         for which in (Transition.T1, Transition.T4)
@@ -199,14 +203,7 @@ def judge(made: Made, late: Late) -> None:
         if name == "t4":
             late.flat += [min(max(ms, 0.0), LONGEST_MS) for ms in off]
             late.left += [min(max(-ms, 0.0), LONGEST_MS) for ms in off]
-
-
-def spread(ms: list[float]) -> str:
-    """Median [5, 95 %]."""
-    if not ms:
-        return "–"
-    low, middle, high = np.percentile(ms, (5, 50, 95))
-    return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
+    return late
 
 
 def holds(late: Late) -> bool:
@@ -230,10 +227,9 @@ def main(arguments: list[str] | None = None) -> int:
     for landing, pace in product(LANDINGS, PACES):
         late = Late()
         for number in range(options.feet):
-            made, own = walk(landing, pace, number), Late()
-            judge(made, late)
+            own = judge(walk(landing, pace, number))
+            late = late.with_feet(own)
             if options.each:
-                judge(made, own)
                 console.print(f"{landing} {pace} {number}: T1 {spread(own.t1)}, T4 {spread(own.t4)}", markup=False)
         held &= holds(late)
         found = [f"{100.0 * len(each) / late.strides:.1f}" for each in (late.t1, late.t4)]

@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 from coarse_check import LIMITS
-from command_line import console_of, parser_of, publish, verdict
+from command_line import console_of, parser_of, publish, spread, verdict
 from every_walker import DRIFTING, LYING, calibrate, feet_of
 from real_sets import PathWalk, marker_strides
 from rich.table import Table
@@ -252,14 +252,6 @@ def chosen(counts: dict[tuple[str, str], dict[int, tuple[int, int]]], without: s
     others = [by_lead for (_, person), by_lead in counts.items() if person != without]
     sound = takewhile(lambda lead: sum(o[lead][1] for o in others) <= 1e-3 * sum(o[lead][0] for o in others), LEADS_MS)
     return max(sound, default=LEADS_MS[0])
-
-
-def spread(values: list[float]) -> str:
-    """Median [5–95 %]."""
-    if not values:
-        return "–"
-    low, middle, high = np.percentile(values, (5, 50, 95))
-    return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
 
 
 def rows(groups: dict[str, Figures]) -> list[list[str]]:

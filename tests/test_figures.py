@@ -109,3 +109,20 @@ def test_the_check_fails_on_a_changed_figure(figures, tmp_path, capsys, value, e
     script.write_text(BENCHMARK.format(benchmarks=str(ROOT / "benchmarks"), value=value, ends=ends), encoding="utf-8")
     assert figures.check({"one": (str(script),)}, tmp_path) == code
     assert said in capsys.readouterr().out
+
+
+def test_what_a_benchmark_prints_is_what_it_keeps(figures, tmp_path, capsys, monkeypatch):
+    import command_line
+    from rich.table import Table
+
+    table = Table("walk", "T4 ms", title="late")
+    table.add_row("H", "+9 [+3, +17]")
+    path = tmp_path / "one.json"
+    monkeypatch.setattr(sys, "argv", ["benchmarks/one.py", "--feet", "3", "--json", str(path), "--jobs=2"])
+    options = command_line.parser_of("One.").parse_args(["--json", str(path)])
+    command_line.publish(command_line.console_of(80), [table], options, ["[x] stays as it is."])
+    assert "[x] stays as it is." in capsys.readouterr().out
+    kept = figures.Result.read(path)
+    assert (kept.command, kept.notes) == ("python benchmarks/one.py --feet 3", ["[x] stays as it is."])
+    (one,) = kept.tables
+    assert (one.title, one.columns, one.rows) == ("late", ["walk", "T4 ms"], [["H", "+9 [+3, +17]"]])

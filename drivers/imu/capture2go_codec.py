@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Final
+from typing import Any, Final
 
 from drivers.imu.port import LineCounts
 from fes.signals import NS_PER_S, Vector3
@@ -293,7 +293,9 @@ def encode(header: int, payload: bytes = b"") -> bytes:
 def pack(header: Header, fields: Mapping[str, Value] | None = None) -> bytes:
     """One package from its fields; those that are not named are 0. ValueError, struct.error: one that does not fit."""
     layout, given = LAYOUTS[header], dict(fields or {})
-    rest = bytes(given.pop("payload", b"")) if header is Header.DATA_FS_BYTES else b""  # type: ignore[arg-type]
+    rest = given.pop("payload", b"") if header is Header.DATA_FS_BYTES else b""
+    if not isinstance(rest, bytes):
+        raise ValueError(f"{header.name}: payload must be bytes")
     values: list[Value] = []
     for (name, count), blank in zip(layout.fields, _blank(layout), strict=True):
         value = given.pop(name, blank)
@@ -307,16 +309,16 @@ def _blank(layout: _Layout) -> list[Value]:
     return list(_grouped(layout, layout.struct.unpack(bytes(layout.struct.size))))
 
 
-def _grouped(layout: _Layout, flat: tuple[Value, ...]) -> list[Value]:
-    values: list[Value] = []
+def _grouped(layout: _Layout, flat: tuple[Any, ...]) -> list[Any]:
+    values = []
     at = 0
     for _, count in layout.fields:
-        values.append(flat[at : at + count] if count else flat[at])  # type: ignore[arg-type]
+        values.append(flat[at : at + count] if count else flat[at])
         at += count or 1
     return values
 
 
-def unpack(package: Package) -> dict[str, Value]:
+def unpack(package: Package) -> dict[str, Any]:
     """The fields of a package, in the document's units; text as bytes up to its first zero.
 
     Raises:
@@ -330,7 +332,7 @@ def unpack(package: Package) -> dict[str, Value]:
             for name, value in fields.items()}  # fmt: skip
 
 
-def _unpacked(layout: _Layout, payload: bytes) -> list[Value]:
+def _unpacked(layout: _Layout, payload: bytes) -> list[Any]:
     return _grouped(layout, layout.struct.unpack_from(payload))
 
 
@@ -364,10 +366,6 @@ def samples(package: Package) -> list[Sample]:
         return []
     by_name = dict(zip((name for name, _ in layout.fields), _unpacked(layout, package.payload), strict=True))
     t_ns, gyr, acc, flags = (by_name[name] for name in ("timestamp", "gyr", "acc", "errorFlags"))
-    assert isinstance(t_ns, int)
-    assert isinstance(flags, int)
-    assert isinstance(gyr, tuple)
-    assert isinstance(acc, tuple)
     real = package.header == Header.DATA_FULL_FLOAT_200HZ
     gyr_unit, acc_unit = (1.0, 1.0) if real else (GYR_RADPS, ACC_MPS2)
     period_ns = NS_PER_S // nominal_rate_hz(package.header) if len(gyr) > 3 else 0

@@ -10,7 +10,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Final
+from typing import Any, Final
 
 from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_codec import Flags, Header, Package, SensorState, SyncMode
@@ -78,7 +78,7 @@ class Capture2GoPort(OneSensorPort):
     def notices(self) -> list[str]:
         """Battery, clock, and what its flags have said since it was first opened."""
         name, status, counts = self._device.sensor, self._status, self._counts
-        battery = int(status.get("battery", c2g.CHARGING))  # type: ignore[arg-type]
+        battery = status.get("battery", c2g.CHARGING)
         alone = self._sync == SyncMode.RECEIVER and not status.get("synchronized", True)
         said = {
             f"{name}: its battery is below {LOW_BATTERY_PERCENT} %": battery < LOW_BATTERY_PERCENT,
@@ -92,10 +92,10 @@ class Capture2GoPort(OneSensorPort):
 
     def _begin(self) -> None:
         """Over an open line: who is there, its clock, its outputs, its start. ImuLost: it refuses or is silent."""
-        self._status: Mapping[str, c2g.Value] = {}
+        self._status: dict[str, Any] = {}
         self._expect_samples()
         info = self._ask(Header.CMD_GET_DEVICE_INFO, {}, Header.DATA_DEVICE_INFO)
-        self.serials = {self._device.sensor: bytes(info["serial"]).decode("ascii", "replace")}  # type: ignore[arg-type]
+        self.serials = {self._device.sensor: info["serial"].decode("ascii", "replace")}
         state = self._ask(Header.CMD_GET_STATUS, {}, Header.DATA_STATUS)["sensorState"]
         if state == SensorState.RECORDING:
             raise ImuLost(f"{self._name}: records to its own storage; end that recording first")
@@ -117,7 +117,7 @@ class Capture2GoPort(OneSensorPort):
             raise ImuLost(f"{self._name}: does not take {', '.join(other)} as asked for")
         self._ask(Header.CMD_START_STREAMING, {}, Header.ACK_START_STREAMING)
 
-    def _ask(self, command: Header, fields: Mapping[str, c2g.Value], wanted: Header) -> dict[str, c2g.Value]:
+    def _ask(self, command: Header, fields: Mapping[str, c2g.Value], wanted: Header) -> dict[str, Any]:
         """The fields of the answer. ImuLost: an error comes back, or nothing."""
         for _ in range(TRIES):
             self._send(c2g.pack(command, fields))
@@ -126,7 +126,7 @@ class Capture2GoPort(OneSensorPort):
                 self._wait(left_ns / NS_PER_S)
                 for package in self._receive():
                     if package.header == Header.ERROR and (said := c2g.unpack(package))["command"] == command:
-                        code = int(said["errorCode"])  # type: ignore[arg-type]
+                        code = said["errorCode"]
                         why = c2g.ERRORS.get(code, "unknown error")
                         raise ImuLost(f"{self._name}: refuses {command.name}: {why} (0x{code:02x})")
                     if package.header == wanted:
