@@ -45,6 +45,11 @@ class BurstParameters:
         """Over the whole profile."""
         return sum(self.widths_us) / len(self.widths_us)
 
+    @property
+    def strength_nc(self) -> float:
+        """Charge of the strongest pulse."""
+        return self.current_ma * max(self.widths_us)
+
 
 @dataclass(slots=True)  # frozen it would take six times as long to make, at the sample that starts a burst
 class Envelope:

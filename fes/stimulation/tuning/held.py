@@ -1,58 +1,39 @@
 """One channel's settings, held: a rule proposes, and here is what may come of it.
 
-Whatever a rule gives (nonsense, not-a-number, another type, an exception), the settings stay within the session's
-bounds, change by no more with one stride than the session allows, and not at all against a person's word. A rule that
-never comes back is the gate's to end, for no command follows then. The gate has the last word over all of this.
+Whatever a rule gives (nonsense, not-a-number, an exception), the settings stay within the session's bounds, change by no
+more with one stride than the session allows, and not at all against a person's word. The gate has the last word over it.
 """
 
 import math
 from dataclasses import replace
-from typing import Final
 
 from fes.config import Bounds, Channel, Tuning
 from fes.stimulation.envelope import BurstParameters, difference
 from fes.stimulation.tuning.report import Kind, Rule, Seen, TuningReport
 
-QUANTA: Final = (0.5, 0.005, 0.005, 1.0)  # mA, s, s, µs: the devices' steps; less would be a change on paper only
 
-
-def held(before: BurstParameters, wanted: object, tuning: Tuning) -> BurstParameters:
-    """What may become of ``before`` with one stride on the way to ``wanted``.
-
-    Raises:
-        ValueError: it is none, or holds what is no number.
-        TypeError: likewise.
-    """
-    bounds = tuning.bounds
-    if not isinstance(wanted, BurstParameters) or bounds is None or len(wanted.widths_us) != len(before.widths_us):
+def held(was: BurstParameters, to: object, tuning: Tuning) -> BurstParameters:
+    """What may become of a burst with one stride on the way to ``to``; raises ValueError where that is none."""
+    may = tuning.bounds
+    if not isinstance(to, BurstParameters) or may is None or len(to.widths_us) != len(was.widths_us):
         raise ValueError("what it proposes is no burst")
-    most_s, (by_ma, by_s, _, by_us) = tuning.max_change_s, QUANTA
-    return BurstParameters(
-        _step(before.current_ma, wanted.current_ma, tuning.max_change_ma, by_ma, bounds.current_ma),
-        _step(before.start_delay_s, wanted.start_delay_s, most_s, by_s, bounds.start_delay_s),
-        _step(before.extension_s, wanted.extension_s, most_s, by_s, bounds.extension_s),
-        tuple(
-            _step(was, width, tuning.max_change_us, by_us, bounds.pulse_width_us)
-            for was, width in zip(before.widths_us, wanted.widths_us, strict=True)
-        ),
+    widths = zip(was.widths_us, to.widths_us, strict=True)
+    return BurstParameters(  # in the devices' steps; less would be a change on paper only
+        _step(was.current_ma, to.current_ma, tuning.max_change_ma, 0.5, may.current_ma),
+        _step(was.start_delay_s, to.start_delay_s, tuning.max_change_s, 0.005, may.start_delay_s),
+        _step(was.extension_s, to.extension_s, tuning.max_change_s, 0.005, may.extension_s),
+        tuple(_step(old, new, tuning.max_change_us, 1.0, may.pulse_width_us) for old, new in widths),
     )
 
 
-def _step(before: float, wanted: float, most: float, quantum: float, bounds: Bounds) -> float:
-    """``wanted`` on the grid of ``quantum`` (or of ``most``, where that is finer), no further than ``most`` away."""
-    change = min(max(float(wanted) - before, -most), most)
+def _step(before: float, wanted: float, most: float, grid: float, bounds: Bounds) -> float:
+    change, grid = min(max(float(wanted) - before, -most), most), min(grid, most)
     if not math.isfinite(float(wanted)):
         raise ValueError("what it proposes is no number")
-    grid = min(quantum, most)
     # towards `before`, so that no rounding goes beyond; a value off the grid stays off it
-    after = before + math.copysign(grid * int(abs(change) / grid + 1e-9), change)
-    after = min(max(round(after, 6), bounds.low), bounds.high)
+    after = round(before + math.copysign(grid * int(abs(change) / grid + 1e-9), change), 6)
+    after = min(max(after, bounds.low), bounds.high)
     return after if abs(after - before) <= most + 1e-9 else before
-
-
-def strength(parameters: BurstParameters) -> float:
-    """Charge of the burst's strongest pulse, nC."""
-    return parameters.current_ma * max(parameters.widths_us)
 
 
 class Tuner:
@@ -62,52 +43,48 @@ class Tuner:
         self.channel, self.rule, self.tuning = channel, rule, channel.tuning or Tuning()
         self.start = self.parameters = BurstParameters.for_channel(channel)
         self.pending: BurstParameters | None = None
-        self.frozen = ""
-        self._usual_intensity = usual_intensity
-        self._going_back = False  # it has stopped itself
+        self.frozen, self._going_back, self._usual_intensity = "", False, usual_intensity
 
     def observe(self, t_ns: int, seen: Seen) -> TuningReport | None:
         """Put a stride before the rule and hold what it proposes."""
+        before, text = self.parameters, "still going back"
         if self.frozen:
             stimulated = seen.stride.valid and seen.charge_uc > 0.0 and seen.intensity > 0.0
-            return self._back(t_ns, "still going back") if self._going_back and stimulated else None
-        before = self.parameters
+            return self._back(t_ns, text) if self._going_back and stimulated else None
         try:
-            proposal = self.rule.stride(seen)
-            if proposal is None:
+            if (proposal := self.rule.stride(seen)) is None:
                 return None
             text, stop, wanted = str(proposal.text), bool(proposal.stop), proposal.wanted
             after = before if wanted is None else held(before, wanted, self.tuning)
         except Exception as error:  # whatever another's rule raises
-            text, stop, after = f"its rule cannot be used ({type(error).__name__})", True, before
+            text, stop = f"its rule cannot be used ({type(error).__name__})", True
         if stop:
             self.freeze(t_ns, text)
             self._going_back = self.tuning.mode == "act"
             back = self._back(t_ns, f"{text}; tuning has stopped and goes back") if self._going_back else None
-            return back or self._report(t_ns, "roll_back", f"{text}; tuning has stopped", before)
-        lowered = seen.intensity < self._usual_intensity
-        if lowered and strength(after) > max(strength(before), strength(self.start)):
+            return back or self._take(t_ns, "roll_back", before, f"{text}; tuning has stopped")
+        if seen.intensity < self._usual_intensity and after.strength_nc > max(before.strength_nc, self.start.strength_nc):
             after = before  # with the intensity up again it would be far more at once
-        changes = difference(before, after)
-        if not changes:
-            self.pending = None
-            return self._report(t_ns, "skip" if seen.skipped else "hint", text, before) if wanted is None else None
-        if self.tuning.mode == "suggest":
-            known, self.pending = self.pending == after, after
-            text = f"suggested: {text}: {changes}"
-            return None if known else TuningReport(t_ns, self.channel.number, "suggestion", text, before, after)
-        self.parameters = after
-        return self._report(t_ns, "skip" if seen.skipped else "change", f"{text}: {changes}", before)
+        known, self.pending = self.pending == after, None
+        if after == before:
+            return self._take(t_ns, "skip" if seen.skipped else "hint", after, text) if wanted is None else None
+        if self.tuning.mode == "act":
+            return self._take(t_ns, "skip" if seen.skipped else "change", after, text)
+        self.pending, text = after, f"suggested: {text}: {difference(before, after)}"
+        return None if known else TuningReport(t_ns, self.channel.number, "suggestion", text, before, after)
 
     def _back(self, t_ns: int, text: str) -> TuningReport | None:
         """A step towards the session's settings, nowhere stronger than now."""
         before, start = self.parameters, self.start
-        widths = tuple(map(min, before.widths_us, start.widths_us))
-        aim = replace(start, current_ma=min(before.current_ma, start.current_ma), widths_us=widths)
-        self.parameters = held(before, aim, self.tuning)
-        changes = difference(before, self.parameters)
-        self._going_back = bool(changes)
-        return self._report(t_ns, "roll_back", f"{text}: {changes}", before) if changes else None
+        widths_us = tuple(map(min, before.widths_us, start.widths_us))
+        less = replace(start, current_ma=min(before.current_ma, start.current_ma), widths_us=widths_us)
+        self._going_back = (after := held(before, less, self.tuning)) != before
+        return self._take(t_ns, "roll_back", after, text) if self._going_back else None
+
+    def _take(self, t_ns: int, kind: Kind, after: BurstParameters, text: str) -> TuningReport:
+        before, self.parameters = self.parameters, after
+        said = f"{text}: {difference(before, after)}" if after != before else text
+        return TuningReport(t_ns, self.channel.number, kind, said, before, after)
 
     # --- what a person does: it counts at once, whatever the rule says -------------------------------------
 
@@ -115,29 +92,26 @@ class Tuner:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending, self._going_back = why, None, False
         text = f"tuning is frozen ({why}); the settings stay as they are"
-        return self._report(t_ns, "frozen", text, self.parameters)
+        return self._take(t_ns, "frozen", self.parameters, text)
 
     def resume(self, t_ns: int) -> TuningReport:
         """Go on after a freeze."""
         self.frozen, self._going_back = "", False
         self.acted("resumed")
-        return self._report(t_ns, "frozen", "tuning goes on", self.parameters)
+        return self._take(t_ns, "frozen", self.parameters, "tuning goes on")
 
     def accept(self, t_ns: int) -> TuningReport | None:
         """Put the pending suggestion in force for the next burst; None when there is none."""
-        if self.pending is None or self.frozen:
+        if (after := self.pending) is None or self.frozen:
             return None
-        before, self.parameters, self.pending = self.parameters, self.pending, None
-        changes = difference(before, self.parameters)
-        return self._report(t_ns, "change", f"suggestion accepted by the operator: {changes}", before)
+        self.pending = None
+        return self._take(t_ns, "change", after, "suggestion accepted by the operator")
 
     def roll_back(self, t_ns: int) -> TuningReport:
         """Back to the session's own settings with the next burst, and freeze."""
-        before, self.parameters = self.parameters, self.start
         self.freeze(t_ns, "rolled back by the operator")
         self.acted("rolled back")
-        changes = difference(before, self.parameters) or "nothing had been changed"
-        return self._report(t_ns, "roll_back", f"back to the session's settings, tuning is frozen: {changes}", before)
+        return self._take(t_ns, "roll_back", self.start, "back to the session's settings, tuning is frozen")
 
     def acted(self, what: str, incline: float | None = None) -> None:
         """Tell the rule what a person did: see :meth:`fes.stimulation.tuning.report.Rule.acted`."""
@@ -145,6 +119,3 @@ class Tuner:
             self.rule.acted(what, incline)
         except Exception as error:  # as above
             self.frozen = f"its rule cannot be used ({type(error).__name__})"
-
-    def _report(self, t_ns: int, kind: Kind, text: str, before: BurstParameters) -> TuningReport:
-        return TuningReport(t_ns, self.channel.number, kind, text, before, self.parameters)

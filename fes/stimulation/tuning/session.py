@@ -9,7 +9,7 @@ from fes.extensions import load_extension
 from fes.signals import GROUND_ACTS, OperatorAct, OperatorAction, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.tuning.held import Tuner, strength
+from fes.stimulation.tuning.held import Tuner
 from fes.stimulation.tuning.report import Rule, Seen, TuningReport
 from fes.stimulation.tuning.rule import OwnRule
 from fes.stimulation.tuning.targets import read_stride
@@ -102,7 +102,7 @@ class Tuners:
 
     def _seen(self, number: int, tuner: Tuner, stride: StrideResult, charge_uc: float, intensity: float) -> Seen:
         given = tuner.parameters
-        skipped = self._filters[number].why_skip(stride, charge_uc, intensity * strength(given))
+        skipped = self._filters[number].why_skip(stride, charge_uc, intensity * given.strength_nc)
         read = read_stride(stride, tuner.tuning) if skipped in ("", NO_CHARGE) else skipped
         reading = None if isinstance(read, str) else read
         skipped = skipped or (read if isinstance(read, str) else "")
