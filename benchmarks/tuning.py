@@ -3,6 +3,9 @@
     python benchmarks/tuning.py --patients 200 --second 100 --write docs/tuning_results.md   # everything
     python benchmarks/tuning.py --patients 20 --trials day --arms short tuner --each         # a look
 
+It takes hours. With ``--keep FILE`` whoever has walked is written there at once, and does not walk again with the same
+program; ``--kept`` makes the tables of those alone.
+
 Arms, all within the same bounds (50 mA, 60 to 300 µs):
 
 - *fixed*: pulses of 300 µs, set that day: raised until the toe clears and the heel comes first, and a fifth on top;
@@ -21,10 +24,11 @@ The second patient (:mod:`second_patient`) shares nothing with the first, and no
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -33,6 +37,7 @@ from typing import Any
 
 import numpy as np
 from closed_loop_walk import Walk, calibration_of, walk
+from figures import digest
 from plain_rule import PlainRule
 from second_patient import SecondPatient, draw_second
 from tuning_cohort import (
@@ -312,6 +317,36 @@ def one_person(seed: int, names: Sequence[str], arms: Sequence[str], *, second: 
     return found
 
 
+class Kept:
+    """Results by model, seed, trial and arm, in a file where there is one; those of another program count as none."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.results: dict[tuple[bool, int, str, str], Result] = {}
+        self._path = path
+        root = Path(__file__).resolve().parents[1]
+        parts = [root / "fes" / room for room in ("control", "estimation", "gate", "simulation/forward", "stimulation")]
+        sources = [source for part in (*parts, root / "statemachine") for source in part.rglob("*.py")]
+        self._program = digest(sources)
+        for line in path.read_text(encoding="utf-8").splitlines() if path is not None and path.is_file() else ():
+            row = json.loads(line)
+            if row["program"] == self._program:
+                self.results[row["second"], row["seed"], row["trial"], row["arm"]] = Result(**row["result"])
+
+    def has(self, second: bool, seed: int, trial: str, arms: Sequence[str]) -> bool:
+        """Whether all of these are there."""
+        return all((second, seed, trial, arm) in self.results for arm in arms)
+
+    def add(self, second: bool, seed: int, walked: dict[str, dict[str, Result]]) -> None:
+        """What a person's walks brought, by trial and arm."""
+        for trial, by_arm in walked.items():
+            for arm, result in by_arm.items():
+                self.results[second, seed, trial, arm] = result
+                row = {"program": self._program, "second": second, "seed": seed, "trial": trial, "arm": arm}
+                if self._path is not None:
+                    with self._path.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps({**row, "result": asdict(result)}) + "\n")
+
+
 # --- tables ---------------------------------------------------------------------------------------------------
 
 HEAD = (
@@ -398,6 +433,8 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS)
     parser.add_argument("--processes", type=int, default=1, help="at once")
     parser.add_argument("--each", action="store_true", help="a line a person")
+    parser.add_argument("--keep", type=Path, help="file of results, a line a person and trial")
+    parser.add_argument("--kept", action="store_true", help="nobody walks: the tables of who stands in the file")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
     asked = parser.parse_args()
     names = list(TRIALS) if "all" in asked.trials else asked.trials
@@ -409,27 +446,34 @@ def main() -> None:
         ),
     ]  # fmt: skip
     said: list[str] = []
+    kept = Kept(asked.keep)
     with ProcessPoolExecutor(asked.processes) as pool:
         for title, seeds, trials, arms, second in groups:
-            walked: dict[str, list[dict[str, Result]]] = {name: [] for name in trials}
-            task = partial(one_person, names=trials, arms=arms, second=second)
+            left = {seed: [name for name in trials if not kept.has(second, seed, name, arms)] for seed in seeds}
+            walks = {
+                seed: pool.submit(one_person, seed, names, arms, second=second)
+                for seed, names in left.items() if names and not asked.kept
+            }  # fmt: skip
             try:
-                tasks = [pool.submit(task, seed) for seed in seeds]
-                for seed, one in zip(seeds, tasks, strict=True):
-                    for name, arms_of in one.result().items():
-                        walked[name].append(arms_of)
-                        if asked.each:
-                            each = {arm: f"{r.settled:.2f} {r.charge_uc:.0f} µC" for arm, r in arms_of.items()}
-                            print(name, seed, each, flush=True)
+                for seed, one in walks.items():
+                    kept.add(second, seed, one.result())
+                    if asked.each:
+                        each = {name: {a: f"{r.settled:.2f} {r.charge_uc:.0f} µC" for a, r in arms_of.items()}
+                                for name, arms_of in one.result().items()}  # fmt: skip
+                        print(seed, each, flush=True)
             except (KeyboardInterrupt, BrokenProcessPool):
                 print("interrupted: the tables have who has walked", flush=True)
-            if not (count_of := len(walked[trials[0]])):
+            walked = {name: [seed for seed in seeds if kept.has(second, seed, name, arms)] for name in trials}
+            if not any(walked.values()):
                 continue
-            said += [f"**{title}, seeds {seeds[0]}–{seeds[count_of - 1]}**", "", HEAD]
-            said += [line for name, every in walked.items() for line in rows(name, every)] + [""]
-            for name, every in walked.items():
-                said += differences(name, every) + fault_lines(name, every)
-            said += [""]
+            said, notes = [*said, f"**{title}**", "", HEAD], []
+            for name, who in walked.items():
+                every = [{arm: kept.results[second, seed, name, arm] for arm in arms} for seed in who]
+                if every:
+                    said += rows(name, every)
+                    notes += [f"- {TRIALS[name].text}: {len(who)} people, seeds {who[0]} to {who[-1]}"]
+                    notes += differences(name, every) + fault_lines(name, every)
+            said += ["", *notes, ""]
     print("\n".join(said))
     if asked.write is not None:
         before, rest = asked.write.read_text(encoding="utf-8").split(BEGIN)

@@ -1,7 +1,8 @@
 """One channel's settings, held: a rule proposes, and here is what may come of it.
 
-Whatever a rule gives (nonsense, not-a-number, an exception), the settings stay within the session's bounds, change by no
-more with one stride than the session allows, and not at all against a person's word. The gate has the last word over it.
+Whatever a rule gives (nonsense, not-a-number, an exception), the settings stay within the session's bounds, change by
+no more with one stride than the session allows, and not at all against a person's word. A rule that never comes back is
+the gate's to end, for no command follows then. The gate has the last word over all of this.
 """
 
 import math
@@ -63,7 +64,9 @@ class Tuner:
             self._going_back = self.tuning.mode == "act"
             back = self._back(t_ns, f"{text}; tuning has stopped and goes back") if self._going_back else None
             return back or self._take(t_ns, "roll_back", before, f"{text}; tuning has stopped")
-        if seen.intensity < self._usual_intensity and after.strength_nc > max(before.strength_nc, self.start.strength_nc):
+        if seen.intensity < self._usual_intensity and after.strength_nc > max(
+            before.strength_nc, self.start.strength_nc
+        ):
             after = before  # with the intensity up again it would be far more at once
         known, self.pending = self.pending == after, None
         if after == before:

@@ -4,7 +4,7 @@ It grew from the plain rule of an independent comparison; what was added to it i
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
@@ -81,6 +81,8 @@ class OwnRule:
         if seen.reading is None or seen.skipped:
             return self._skipped(seen)
         self._untaught = self._jolts = 0
+        if seen.noticed:
+            self._answers.clear()  # the foot answers otherwise now
         drives = drives_of(seen.given, self._channel)
         for measure in seen.reading.measures:
             answers = self._answers.setdefault(measure.name, deque(maxlen=self._own.answers))
@@ -158,9 +160,15 @@ class OwnRule:
         bands = max(bands_per_drive(answers, own), 1.0 / own.drive_per_band)  # never further than the usual foot's
         missing = newest if newest > own.far else min(newest, usual)
         if missing > own.near:
-            return self._tuning.gain * missing / bands
+            # what has lifted nothing is not added to, unless the foot is far too low
+            return self._tuning.gain * missing / bands if usual > own.far or self._still_lifts(answers) else 0.0
         surely = max(newest, usual) < -own.far or (len(errors) == own.surely and max(errors) < -own.much)
         return max(usual / bands, -own.eased) if surely and self.state is not State.SPARE else 0.0
+
+    def _still_lifts(self, answers: Sequence[tuple[float, float]]) -> bool:
+        """Whether the last of what was given has lifted anything."""
+        own, now = self._own, answers[-1][0]
+        return bands_per_drive([each for each in answers if each[0] > now - own.last_given], own) > own.flattest
 
     def _aim(self, measure: Measure) -> float:
         own = self._own

@@ -38,9 +38,11 @@ class RuleSettings:
     no_answer: float = -0.3  # … or where there are none of these (TUNER)
     untaught: int = 10  # stimulated ones in a row that taught nothing: a hint (chosen)
 
+    last_given: float = 0.25  # drive: by the strides with no less than so much under the newest, more is given only …
+    flattest: float = 1.0  # … where all of the drive lifts by so many bands (dev: 12 % less charge, no band lost)
+
     # the watch (dev: whole, slipped, drifting and spastic walks)
     believed: float = 0.01  # drive²: spread from which a foot's own answer weighs more than drive_per_band
-    flattest: float = 1.0  # bands that all of the drive lifts by, at least
     newest: int = 7  # strides that are held against …
     earlier: int = 8  # … earlier ones, of which
     enough: int = 5  # at least so many must be at the same speed,

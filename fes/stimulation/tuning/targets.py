@@ -105,4 +105,4 @@ def bands_per_drive(seen: Sequence[tuple[float, float]], own: RuleSettings) -> f
     drive, level = fmean(d for d, _ in seen), fmean(at for _, at in seen)
     spread = sum((d - drive) ** 2 for d, _ in seen)
     lifted = sum((d - drive) * (at - level) for d, at in seen)
-    return max((lifted + own.believed / own.drive_per_band) / (spread + own.believed), own.flattest)
+    return (lifted + own.believed / own.drive_per_band) / (spread + own.believed)

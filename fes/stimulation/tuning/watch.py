@@ -64,7 +64,7 @@ class FaultWatch:
         for name in strides[-1][1]:
             before = [answers[name] for _, answers in then if name in answers]
             after = [answers[name] for _, answers in newest if name in answers]
-            slope = bands_per_drive(self._first[name], own)
+            slope = max(bands_per_drive(self._first[name], own), own.flattest)
             lifted = slope * median(drive for drive, _ in after)  # level by which the drive of now is believed to lift
             if len(before) < own.enough or len(after) < own.newest or lifted <= 0.0:
                 continue
