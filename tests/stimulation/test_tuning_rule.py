@@ -85,6 +85,19 @@ def test_a_foot_that_answers_steeply_is_not_thrown_over_its_band() -> None:
     assert all(0.0 <= level <= 1.0 for level in levels[15:]), levels
 
 
+def test_what_has_lifted_nothing_is_not_added_to() -> None:
+    one = channel(tuning(method="learning", bounds=WIDE, **TEN), pulse_width_us=65.0)
+    tuned, drives = Tuned(one), []
+    for number in range(40):
+        drive = max(tuned.parameters.widths_us) / 300.0
+        tuned.walk(stride(number, levelled(min(2.0 * drive - 0.6, 0.3))))  # from 0.45 of the drive on, no higher
+        drives.append(drive)
+    assert 0.45 < drives[-1] < 0.75, "the band's middle cannot be had, and more would be current for nothing"
+    for number in range(40, 60):
+        tuned.walk(stride(number, levelled(-0.3)))
+    assert max(tuned.parameters.widths_us) == 300.0, "a foot far too low is given more whatever it answered before"
+
+
 @pytest.mark.parametrize("method", ["run_to_run", "learning"])
 def test_the_tail_follows_the_pitch_and_never_exceeds_the_front(method: str) -> None:
     one = channel(tuning(method=method, pitch_at_contact_deg=PITCH, bounds=WIDE, **TEN))
