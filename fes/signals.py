@@ -206,7 +206,7 @@ class StrideResult:
     ``pitch_rad`` (K,) and ``roll_rad`` (K,) at K equally spaced times from ``t_start_ns`` to ``t_end_ns``. Pitch is the
     angle of the foot's long axis against the horizontal, toe up positive; roll that of its mediolateral axis, inner
     side up (inversion, the sole turning inward) positive on both feet; both are 0 in the starting stance. Roll is empty
-    of a shank, and in older logs. ``stride_length_sd_m`` is the length's uncertainty, ``free_rise_m`` the height gained
+    of a shank. ``stride_length_sd_m`` is the length's uncertainty, ``free_rise_m`` the height gained
     by the sensor alone, whatever the ground is said to be, ``clearance_m`` the sensor's greatest height over the line
     from start to end; ``toe_clearance_m`` the least height of the toe in mid-swing and ``heel_clearance_m`` the heel's
     greatest height, NaN unless the session says where the sensor sits. The ``t_*`` phase entries are None where the

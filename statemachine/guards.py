@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 
 YES: Final = True
 NO: Final = False
-FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": "contact_jerk_mps3"}  # in old files
 
 
 class Features(NamedTuple):

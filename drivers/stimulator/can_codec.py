@@ -21,7 +21,6 @@ from fes.signals import StimCommand, WireFrame
 
 PROTOCOL_VERSION: Final = 3
 NO_SESSION: Final = 0
-ECHOED_COUNTS: Final = {1: 16, 2: 16}  # in older versions answers named a command by the low 4 bits of its count
 
 
 class Result(WordedEnum):
@@ -270,22 +269,19 @@ def decode(identifier: int, data: bytes) -> Message:
 def logged_commands(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
     """The commands among logged frames, as they read on the wire, each with the count by which answers name it.
 
-    Of a log of an older version too.
-
     Raises:
         FrameRejected: a logged frame is no intact frame of this protocol.
     """
     commands = []
-    counts, validity_ms = e2e.COUNTS, limits.MAX_VALIDITY_MS
+    validity_ms = limits.MAX_VALIDITY_MS
     for frame in frames:
         message = decode(frame.identifier, frame.data)
         if isinstance(message, SessionOpen):
-            counts = ECHOED_COUNTS.get(message.version, e2e.COUNTS)
             validity_ms = message.validity_ms or validity_ms
         if isinstance(message, Command):
             values = (message.on, message.current_ma, message.pulse_width_us, message.frequency_hz)
             command = StimCommand(frame.t_ns, message.channel, *values, validity_ms)
-            commands.append((command, message.counter % counts))
+            commands.append((command, message.counter % e2e.COUNTS))
     return commands
 
 

@@ -19,7 +19,7 @@ from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, cali
 from fes.analysis.results import Analysis
 from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
 from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
-from fes.cli.common.options import PATH, SIDE, Number, RenamedOptions, choice, out_option, utc_now
+from fes.cli.common.options import PATH, SIDE, Number, choice, out_option, utc_now
 from fes.cli.common.show import TableFile, print_json, screen, write_table
 from fes.cli.compile_ import compiled_ahead
 from fes.config import Ground
@@ -84,7 +84,7 @@ class Options:
         return [name for name in TABLES if name != "events_causal" or self.causal_events]
 
 
-@click.command(name="analyse", cls=RenamedOptions, former={"--afflicted": "--paretic-side", "--apart": "--sync-clocks"})
+@click.command(name="analyse")
 @click.argument("recordings", nargs=-1, required=True, type=PATH)
 @click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording.")
 @out_option()

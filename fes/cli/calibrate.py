@@ -44,7 +44,6 @@ def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> N
             {
                 "sensors": {sensor: calibration.to_dict() for sensor, calibration in found.calibrations.items()},
                 "phase_sensors": phase_sensors(found.calibrations),
-                "drives": phase_sensors(found.calibrations),  # its former name
                 "missing": found.missing,
                 "sides": found.sides,
                 "side_score": verdict.score if verdict else None,

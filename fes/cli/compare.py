@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from fes.cli.common.exits import FAILED, Problem, failing
-from fes.cli.common.options import PATH, SIDE, RenamedOptions
+from fes.cli.common.options import PATH, SIDE
 from fes.cli.common.show import narrow_table, print_json, screen
 from fes.session_log import SessionLogError, read_session
 
@@ -27,7 +27,7 @@ SETTINGS_SHOWN: Final = 20
 _TITLES: Final = ("length\ncm", "clear.\ncm", "T1\nms", "T2\nms", "T3\nms", "stance\nms", "on\nms", "off\nms")
 
 
-@click.command(name="compare", cls=RenamedOptions, former={"--afflicted": "--paretic-side"})
+@click.command(name="compare")
 @click.argument("sessions", nargs=-1, required=True, metavar="A B…", type=PATH)
 @click.option("--report", type=PATH, metavar="FILE", help="Write how the walks differ, as HTML.")
 @click.option(

@@ -14,12 +14,6 @@ from typing import Any, Final
 from statemachine.guards import Thresholds
 
 ORIGIN: Final = "origin"
-GONE: Final = frozenset(  # in sessions and logs of former versions
-    ("push_off_again", "longest_swing_stride_s", "struck_share", "struck_per_s", "shortest_loading", "flat_share",
-     "longest_loading_stride_s", "longest_loading", "shortest_swing", "soft_contact", "put_back",
-     "soft_contact_share", "still_share", "heel_rise_rad", "heel_rise_after", "toe_up_after", "carried_share",
-     "landed_share", "rising_share", "settling_s")
-)  # fmt: skip
 LEAST, MOST = 0.25, 4.0  # times the default, or what holds anyway: further off no gait was seen
 _TABLE: Final = re.compile(r"^[ \t]*\[thresholds\][^\n]*\n(?:(?![ \t]*\[)[^\n]*(?:\n|\Z))*", re.MULTILINE)
 _FACTOR: Final = re.compile(r"x(\d+(?:\.\d*)?|\.\d+)")
@@ -38,8 +32,6 @@ def changed_thresholds(own: Thresholds, changes: Mapping[str, Value]) -> Thresho
     for name, value in changes.items():
         if name == ORIGIN:
             continue
-        if name in GONE:
-            raise ValueError(f"{name} is no threshold any more; its rule is gone or has another name (docs/phases.md)")
         if name not in now:
             near = difflib.get_close_matches(name, now, 1)
             raise ValueError(f"{name} is no threshold{f'; perhaps {near[0]}?' if near else ''}")

@@ -57,7 +57,7 @@ def compare_delivered(sent: Sequence[tuple[StimCommand, int]], statuses: Iterabl
 
     Per channel, an answer belongs to the newest not yet answered command with its counter that was sent no later
     than the answer came; commands passed over by that stay unanswered. That is unique as long as fewer commands are
-    on their way than the counter has values (128; 16 in old logs).
+    on their way than the counter has values (128).
     """
     answers: dict[int, list[StimStatus]] = defaultdict(list)
     for status in statuses:

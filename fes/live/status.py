@@ -87,7 +87,7 @@ class Status:
     def plain(self) -> dict[str, Any]:
         """As data for JSON: null for what is no number."""
         found: dict[str, Any] = finite_or_none(asdict(self))
-        return found | {"remarks": found["notices"]}  # as the notices were called once
+        return found
 
     def encode(self) -> bytes:
         """The datagram."""
@@ -104,7 +104,6 @@ class Status:
             data: dict[str, Any] = json.loads(datagram)
             if data["version"] != VERSION:
                 raise ValueError(f"status of version {data['version']}, this program reads {VERSION}")
-            data.pop("remarks", None)
             feet = {name: FootStatus(**foot) for name, foot in data.pop("feet").items()}
             tuning = {number: TuningStatus(**one) for number, one in data.pop("tuning", {}).items()}
             return Status(**data, feet=feet, tuning=tuning)

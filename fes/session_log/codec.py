@@ -433,7 +433,7 @@ def _decode_stride(payload: memoryview) -> StrideResult:
     text_bytes, rows, angles = _STRIDE.unpack_from(payload)
     start = _STRIDE.size + text_bytes
     numbers = np.frombuffer(payload[start:], "<f4").astype(np.float64)
-    trajectory, pitch, roll = np.split(numbers, (3 * rows, 3 * rows + angles))  # older logs have no roll
+    trajectory, pitch, roll = np.split(numbers, (3 * rows, 3 * rows + angles))
     if len(pitch) < angles or len(roll) not in (0, angles):
         raise ValueError("a stride of another length than it says")
     fields = decode_json(payload[_STRIDE.size : start])

@@ -197,7 +197,7 @@ def test_the_command_writes_what_replay_takes(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["calibrate", str(tmp_path / "walk.csv"), "--out", str(target), "--json"])
     assert result.exit_code == 0, result.output
     told = json.loads(result.output)
-    assert told["drives"] == {"right_foot": "right_shank"}
+    assert told["phase_sensors"] == {"right_foot": "right_shank"}
     assert SensorCalibrations(load(target).calibrations).calibrations.keys() == told["sensors"].keys()
     table = CliRunner().invoke(main, ["calibrate", str(tmp_path / "walk.csv"), "--out", str(target)])
     assert "right_foot" in table.output

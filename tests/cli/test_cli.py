@@ -59,14 +59,6 @@ def test_help_names_every_command_and_every_command_has_help() -> None:
     assert "130" in call("replay", "--help").stdout
 
 
-def test_an_option_by_its_former_name_still_works_and_its_new_name_is_told() -> None:
-    message = refused(call("compare", "a", "b", "--afflicted=left"), UNUSABLE, "--paretic-side belong to --report")
-    assert message.startswith("--afflicted is now called --paretic-side")
-    assert "--afflicted" not in call("compare", "--help").output
-    assert "is now called" not in call("compare", "a", "b", "--paretic-side", "left").stderr
-    assert "is now called" not in call("compare", "a", "--", "--afflicted").stderr
-
-
 # --- results ------------------------------------------------------------------------------------------------
 
 

@@ -84,10 +84,6 @@ def test_values_are_read_as_the_session_file_would(asked: str, values: tuple[obj
     assert parse_axis(asked).values == values
 
 
-def test_a_threshold_goes_by_its_former_name_too() -> None:
-    assert parse_axis("thresholds.contact_jump_mps3=x1.2").name == "thresholds.contact_jerk_mps3"
-
-
 @pytest.mark.parametrize(
     ("asked", "told"),
     [

@@ -42,7 +42,6 @@ def test_numbers_factors_and_flags() -> None:
     ("table", "words"),
     [
         ("heel_rise = 0.3", "heel_rise is no threshold; perhaps heel_rise_"),
-        ("struck_share = 0.03", "struck_share is no threshold any more"),
         ("heel_rise_share = 5.0", "outside 0.25 to 4 times the default"),
         ('fall_radps = "x9"', "outside 0.25 to 4 times the default"),
         ('fall_radps = "many"', "must be a number, 0 or more"),

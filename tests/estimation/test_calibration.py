@@ -470,20 +470,6 @@ def test_there_and_back_through_the_log(name: str, foot: str) -> None:
     assert FootCalibration.from_dict(json.loads(json.dumps(found.to_dict()))) == found
 
 
-@pytest.mark.parametrize("jump", ["contact_jerk_mps3", "contact_jump_mps3"])
-def test_a_calibration_of_former_versions_is_read(jump: str) -> None:
-    """They kept limits, shares of the measures; all else is as it was."""
-    found = calibrated(*WALKS[0])
-    old = {key: value for key, value in found.to_dict().items() if key not in MEASURES}
-    old |= {"rest_gyr_radps": 0.31, "min_toe_down_peak_radps": 1.2, "rest_hold_s": 0.0675, jump: 600.0}
-    read = FootCalibration.from_dict(json.loads(json.dumps(old)))
-    assert read.push_off_radps == pytest.approx(3.0)
-    assert read.fall_radps > read.push_off_radps
-    assert read.stride_s == pytest.approx(2.0)
-    assert read.contact_jerk_mps3 == pytest.approx(2000.0)
-    assert replace(read, **{name: getattr(found, name) for name in MEASURES}) == found
-
-
 def test_a_minute_is_enough() -> None:
     t_ns = np.arange(0, 90_000_000_000, 10_000_000) + 123_000_000_000
     gyr = np.zeros((len(t_ns), 3))

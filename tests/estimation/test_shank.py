@@ -219,22 +219,6 @@ def test_a_lean_over_a_standing_ankle_is_no_heel_rise(moves: bool) -> None:
     assert left[:1] == ([Transition.T1] if moves else [])
 
 
-def test_levels_of_former_versions_are_read() -> None:
-    """They were thresholds: what they were shares of comes back."""
-    former = {
-        "rest_lean_radps": 1.0, "rest_acc_mps2": 2.0, "min_lean_peak_radps": 1.2, "contact_jolt_mps3": 450.0,
-        "rest_hold_s": 0.03,
-    }  # fmt: skip
-    found = ShankCalibration.from_dict(calibration().to_dict() | {"levels": former}).levels
-    assert (found.rest_lean_radps, found.push_off_radps) == pytest.approx((1.0, 3.0))
-    assert (found.contact_jolt_mps3, found.still_mps2) == pytest.approx((1500.0, 2.0))
-    assert found.heel_rise_radps > found.rest_lean_radps
-    assert found.fall_radps > found.push_off_radps
-    nothing = calibration().to_dict()
-    del nothing["levels"]
-    assert ShankCalibration.from_dict(nothing).levels == ShankLevels()
-
-
 def test_the_foot_drives_where_it_has_a_sensor() -> None:
     assert phase_sensors(["left_shank", "right_shank", "right_foot"]) == {
         "left_foot": "left_shank",

@@ -584,14 +584,6 @@ def test_a_log_is_held_against_itself_an_earlier_one_and_a_truth(log: Path, tmp_
     assert "Nothing is judged" in true.stderr
 
 
-def test_the_former_option_says_its_new_name(log: Path, tmp_path: Path) -> None:
-    former = run_fes("replay", log, "--check-timing", "--max-late", "3", "--no-report", "--out", tmp_path)
-    assert former.exit_code == 0, former.output
-    assert f"is now: fes timing check {log} --allow moved=3 --no-report" in former.stderr
-    alone = run_fes("replay", log, "--max-late", "3")
-    assert (alone.exit_code, "fes timing check" in alone.stderr) == (2, True)
-
-
 def test_input_that_cannot_be_used_is_said_at_once(project: Path, log: Path, tmp_path: Path) -> None:
     walk = project / "walks" / "example_csv.csv"
     (tmp_path / "empty").mkdir()

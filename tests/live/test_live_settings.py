@@ -231,19 +231,6 @@ def test_the_serial_ports_of_a_session_are_each_named_once(tmp_path: Path) -> No
     assert serial_ports_of(load_session(SETTINGS)) == []
 
 
-@pytest.mark.parametrize("jump", ["contact_jerk_mps3", "contact_jump_mps3"])
-def test_a_log_with_a_calibration_of_former_versions_is_replayed(tmp_path: Path, jump: str) -> None:
-    header = live_header(load_session(SETTINGS), {FOOT: CALIBRATION}, 1, "", 0)
-    former = header["calibration"][FOOT]
-    for measure in ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3"):
-        del former[measure]
-    former |= {"rest_gyr_radps": 0.4, "min_toe_down_peak_radps": 1.2, "rest_hold_s": 0.05, jump: 600.0}
-    log = SessionWriter(tmp_path / "s.feslog", header)
-    log.event(Tick(1))
-    log.close({"ended": "complete"})
-    repeat(tmp_path / "s.feslog")
-
-
 @pytest.mark.parametrize("step", ["wide", None, [], {}, 0, -0.5, 1e9, True])
 def test_a_log_with_nonsense_for_the_step_is_refused(tmp_path: Path, step: object) -> None:
     header = live_header(load_session(SETTINGS), {}, 1, "", 0) | {"current_step_ma": step}

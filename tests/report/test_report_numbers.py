@@ -337,7 +337,6 @@ def test_json_keys_are_stable_and_nan_is_null():
             "refusals",
             "latency",
             "notices",
-            "remarks",
             "sensors",
             "run_summary",
             "strides",

@@ -1,4 +1,4 @@
-"""What options need: kinds that recur, numbers that are numbers, former names, whether a file is there."""
+"""What options need: kinds that recur, numbers that are numbers, whether a file is there."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -64,24 +64,3 @@ class Number(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
-
-
-class RenamedOptions(click.Command):
-    """A command some of whose options had another name once: that still works, with a notice on stderr.
-
-    Args:
-        former: the name now, by the name that was.
-    """
-
-    def __init__(self, *args: Any, former: dict[str, str], **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._former = former
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the names of now for those that were."""
-        end = args.index("--") if "--" in args else len(args)
-        for at, (name, equals, value) in enumerate(argument.partition("=") for argument in args[:end]):
-            if now := self._former.get(name):
-                click.secho(f"{name} is now called {now}; the old name still works.", fg="yellow", err=True)
-                args[at] = f"{now}{equals}{value}"
-        return super().parse_args(ctx, args)

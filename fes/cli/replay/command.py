@@ -13,15 +13,14 @@ from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import ANSWER_WITHIN_NS, StimulatorLost
 from fes.calibration.recording import SensorCalibrations
 from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, Number, RenamedOptions, choice, given_options, out_option, utc_now
+from fes.cli.common.options import PATH, Number, choice, given_options, out_option, utc_now
 from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show, show_latched
 from fes.cli.replay import stimulators
 from fes.cli.replay.log import controller_and_gate, replay_log
 from fes.cli.replay.preparation import prepared
 from fes.cli.run import command as run
-from fes.cli.run.devices import FORMER_OPTIONS, dashboard_options
-from fes.cli.timing.former import PARAMETERS, former_timing_options
+from fes.cli.run.devices import dashboard_options
 from fes.config import ConfigError, Session
 from fes.control.clock_sync import SensorClock
 from fes.control.replay import digest, identity, log_header, session_for
@@ -46,7 +45,7 @@ def refuse_settings_of_a_recording(*allowed: str) -> None:
     Raises:
         Problem: one was given that is not ``allowed``.
     """
-    useless = given_options() - {"recording", "as_json", "dashboard", *allowed, *PARAMETERS}
+    useless = given_options() - {"recording", "as_json", "dashboard", *allowed}
     for option in click.get_current_context().command.params:
         if option.name in useless:
             raise Problem(
@@ -106,7 +105,7 @@ class Options:
     dummy_load: bool = False
 
 
-@click.command(name="replay", cls=RenamedOptions, former=FORMER_OPTIONS)
+@click.command(name="replay")
 @click.argument("recording", type=PATH)
 @click.option("--session", type=PATH, help="Settings (TOML). Default: session.toml beside it.")
 @click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording.")
@@ -119,7 +118,6 @@ class Options:
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 @dashboard_options
-@former_timing_options
 def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
 

@@ -178,12 +178,12 @@ class SerialSink(_RepeatingSink):
 
 
 def repeats_bytes(session: Session, header: Mapping[str, object]) -> bool:
-    """Whether a log holds all that the session's serial port went by; those of before that was kept do not."""
+    """Whether a log holds all that the session's serial port went by; a recording's has a simulated stimulator."""
     return session.stimulator.device in SERIAL and header.get("heard") is True
 
 
 def polled_every_ns(header: Mapping[str, object]) -> int:
-    """How far apart the session looked at its stimulator's line; older ones looked after every event."""
+    """How far apart the session looked at its stimulator's line; 0: after every event."""
     every = header.get("polled_every_ns", 0)
     return every if isinstance(every, int) else 0
 

@@ -21,7 +21,7 @@ from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import SensorCalibrations, load, refuse_others
 from fes.cli.calibrate import describe, save_calibrations
 from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, Command, Number, RenamedOptions, utc_now
+from fes.cli.common.options import PATH, Command, Number, utc_now
 from fes.cli.common.progress import Interrupt
 from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_session, refuse_blind_targets
@@ -142,7 +142,7 @@ def live_options(command: Command) -> Command:
     return command
 
 
-@click.command(name="run", cls=RenamedOptions, former=devices.FORMER_OPTIONS)
+@click.command(name="run")
 @click.argument("session", type=PATH)
 @click.option("--calibration", type=PATH, help="From `fes calibrate`. Default: calibrate first.")
 @click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 
@@ -25,9 +25,6 @@ from fes.live.sensors import SensorStream
 if TYPE_CHECKING:
     from fes.live.dashboard.process import DashboardProcess
     from fes.live.session import LiveSession
-
-
-FORMER_OPTIONS: Final = {"--page": "--dashboard", "--page-port": "--dashboard-port"}
 
 
 def dashboard_options(command: Command) -> Command:

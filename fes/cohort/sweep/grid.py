@@ -23,7 +23,7 @@ from fes.cohort.sources import CohortError
 from fes.config import Session, validate_session
 from fes.config.base import Settings
 from fes.config.thresholds import changed_thresholds
-from statemachine.guards import FORMER_NAMES, Thresholds
+from statemachine.guards import Thresholds
 
 SWEPT: Final = ("phases", "stimulation", "channels")  # of a session; the rest is of devices and persons
 FIXED: Final = ("name", "number", "foot", "muscle", "electrode_area_cm2", "never_with", "limits")  # of a channel
@@ -81,7 +81,7 @@ def parse_axis(asked: str) -> Axis:
         CohortError: it is neither, or there is no such setting.
     """
     name, equals, values = asked.partition("=")
-    name = ".".join(FORMER_NAMES.get(part, part) for part in name.strip().split("."))
+    name = name.strip()
     if not equals or not values.strip():
         raise CohortError(f"--set {asked}: write NAME=VALUE,VALUE,… or NAME=LOW:HIGH:COUNT.")
     _check_name(name)

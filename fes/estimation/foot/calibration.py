@@ -33,7 +33,7 @@ from fes.estimation.numerics.rotation import cross, without
 from fes.estimation.tracking.phase_features import usual_swing_s
 from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
-from statemachine.guards import FORMER_NAMES, Thresholds
+from statemachine.guards import Thresholds
 
 SMOOTH_S = 0.04  # the mean over this, twice, is a low-pass of 8 Hz: it leaves one push-off and one mid-swing
 FALL_S = 0.35  # push-off's peak lies at most this long before mid-swing
@@ -93,7 +93,7 @@ class FootCalibration:
     ``push_off_radps``, ``fall_radps``, ``stride_s`` and ``contact_jerk_mps3`` are this person's typical push-off (peak
     toe-down rate), fall from there to mid-swing, stride time and jump of the force at contact: the guards' measures.
     ``axis_confidence`` (0–1) is the share of the travel that is along forward, ``axis_sd_rad`` the uncertainty of
-    ``toe_down`` (0 in files of former versions). ``strides`` is how many the result rests on, ``standing`` whether the
+    ``toe_down``. ``strides`` is how many the result rests on, ``standing`` whether the
     gyroscope's bias is that of a still second (if not, that by which gravity closes over the strides, or where the foot
     never comes to rest the calibrated zero, left to the orientation filter).
     """
@@ -149,18 +149,8 @@ class FootCalibration:
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> FootCalibration:
-        """Back from the session log or a calibration file, of former versions too."""
-        values: dict[str, Any] = {
-            FORMER_NAMES.get(key, key): tuple(v) if isinstance(v, list) else v for key, v in data.items()
-        }
-        if "rest_gyr_radps" in values:  # former versions kept shares of what they had found
-            hold_s, peak, jerk = (
-                values.pop("rest_hold_s"), values.pop("min_toe_down_peak_radps"), values["contact_jerk_mps3"]
-            )  # fmt: skip
-            del values["rest_gyr_radps"]
-            push_off = peak / 0.4
-            values |= {"push_off_radps": push_off, "fall_radps": 2.0 * push_off, "contact_jerk_mps3": jerk / 0.3}
-            values["stride_s"] = max(0.5 + hold_s / 0.045, 1.0)
+        """Back from the session log or a calibration file."""
+        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
         return FootCalibration(**values)
 
 

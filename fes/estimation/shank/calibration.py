@@ -98,7 +98,7 @@ class ShankCalibration:
     @staticmethod
     def from_dict(data: dict[str, Any]) -> ShankCalibration:
         """Back from the session log."""
-        arm, levels = ArmEstimate(**_with_tuples(data["arm"])), ShankLevels.from_dict(data.get("levels", {}))
+        arm, levels = ArmEstimate(**_with_tuples(data["arm"])), ShankLevels(**data.get("levels", {}))
         return ShankCalibration(**{**_with_tuples(data), "arm": arm, "levels": levels})
 
 

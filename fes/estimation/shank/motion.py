@@ -286,15 +286,6 @@ class ShankLevels:
             swing_at_reversal=swing_at_reversal,
         )
 
-    @staticmethod
-    def from_dict(data: dict[str, float]) -> ShankLevels:
-        """Back from the session log or a calibration file, of former versions too, which kept thresholds."""
-        if "rest_acc_mps2" not in data:
-            return ShankLevels(**data)
-        rest, peak = data["rest_lean_radps"], data["min_lean_peak_radps"] / 0.4
-        jolt = max(data["contact_jolt_mps3"] / 0.3, LEAST_JOLT_MPS3)
-        return ShankLevels(rest, 1.2 * rest, peak, 2.8 * peak, contact_jolt_mps3=jolt, still_mps2=data["rest_acc_mps2"])
-
 
 def trace_of(parameters: ShankParameters, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> FloatArray:
     """Rate of lean (rad/s), the ankle's force beyond gravity (m/s²) and jolt (m/s³) at each sample, as for the guards.

@@ -181,7 +181,7 @@ def _single(filling: dict[str, Batch], value: Rare) -> None:
     if isinstance(value, signals.StrideResult) and len(value.trajectory_m) == len(value.pitch_rad) > 0:
         n = len(value.pitch_rad)
         t_ns = [value.t_start_ns + (value.t_end_ns - value.t_start_ns) * k // max(n - 1, 1) for k in range(n)]
-        roll = value.roll_rad.tolist() or [math.nan] * n  # a shank's, or an old log's
+        roll = value.roll_rad.tolist() or [math.nan] * n  # a shank's
         path = [*value.trajectory_m.T.tolist(), value.pitch_rad.tolist(), roll]
         _extend(filling, PATHS, [t_ns, [value.foot] * n, [value.number] * n, *path])
 
