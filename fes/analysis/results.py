@@ -13,7 +13,7 @@ from fes import __version__
 from fes.analysis.examination import sensor_findings, testimonies
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.methods import CAUSAL_EVENT_COLUMNS, causal_event_rows
-from fes.analysis.tables import Table, join_tables
+from fes.analysis.tables import Table, by_column, join_tables
 from fes.analysis.toe_and_heel import ToeAndHeel
 from fes.config import Ground
 from fes.estimation.events.causal import Decision, Rule
@@ -152,6 +152,18 @@ class Analysis:
         kept = (each for each in found if self._walked(each.t_swing_ns, each.t_loading_response_ns))
         return sorted(kept, key=attrgetter("t_start_ns"))
 
+    @cached_property
+    def stride_columns(self) -> Table:
+        """What :attr:`strides` say, a row each and without an object for each: see ``tables.by_column``."""
+        if self.measured_strides is None:
+            shanks = (each for own in self.outcomes.values() for each in own if isinstance(each, StrideResult))
+            blocks = [Table(schema.RESULT, block.columns()) for block in self.blocks.values()]
+            found = join_tables([*blocks, by_column(list(shanks))])
+        else:
+            found = by_column(self.measured_strides)
+        kept: Table = found[self._all_walked(found["t_swing_ns"], found["t_loading_response_ns"])]
+        return kept.sorted_by("t_start_ns")
+
     def _walked(self, begin_ns: int | None, end_ns: int | None) -> bool:
         """Whether it lies within one of the ``walking_ns``, where these are known."""
         if self.walking_ns is None:
@@ -183,15 +195,15 @@ class Analysis:
         The phases' entries are those found off-line, NaN where there are none. ``x_m``, ``y_m``, ``z_m`` and
         ``heading_rad`` are where the stride ends on the foot's path, NaN without a path.
         """
-        found = schema.table_columns(self.strides)
+        columns = self.stride_columns
+        found = schema.table_columns({name: columns[name] for name in columns.names})
         for k, name in enumerate(_ENTRIES):
             entry = name.removesuffix("_ns")
             found[f"{entry}_live_s"], found[f"{entry}_s"] = found[f"{entry}_s"], _seconds(self.offline_entries[:, k])
-        places = np.full((len(self.strides), len(_PLACE)), math.nan)
-        ends_ns = np.array([stride.t_end_ns for stride in self.strides], np.int64)
+        places = np.full((len(columns), len(_PLACE)), math.nan)
         for foot, path in self.paths.items():
-            own = np.array([stride.foot == foot for stride in self.strides], np.bool_)
-            places[own] = path.places_at(ends_ns[own])
+            own = columns["foot"] == foot
+            places[own] = path.places_at(columns["t_end_ns"][own])
         return Table(schema.TABLE, found | dict(zip(_PLACE, places.T, strict=True)))
 
     def phase_table(self) -> Table:
@@ -258,11 +270,13 @@ class Analysis:
 
         A stride with no swing that the events tell, or with two, has none; nor has a shank's.
         """
-        found = np.full((len(self.strides), len(_ENTRIES)), UNSEEN_NS, np.int64)
+        columns = self.stride_columns
+        found = np.full((len(columns), len(_ENTRIES)), UNSEEN_NS, np.int64)
         for foot, events in self.events.items():
-            own = np.flatnonzero([stride.foot == foot for stride in self.strides])
-            ends = np.array([(self.strides[k].t_start_ns, self.strides[k].t_end_ns) for k in own], np.int64)
-            first, last = np.searchsorted(events.mid_swing_ns, ends.reshape(-1, 2)).T
+            own = np.flatnonzero(columns["foot"] == foot)
+            first, last = (
+                np.searchsorted(events.mid_swing_ns, columns[end][own]) for end in ("t_start_ns", "t_end_ns")
+            )
             one = last - first == 1
             found[own[one]] = np.column_stack(list(self._offline_ns(foot).values()))[first[one]]
         return found

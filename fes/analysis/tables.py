@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fes.analysis.parameters.definitions import DEFINITIONS
+from fes.estimation.strides import schema
 from fes.estimation.strides.schema import Column
+from fes.signals import StrideResult
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -130,6 +132,11 @@ class Table:
         )
         more = f"<p>{len(self)} rows, the first {ROWS_SHOWN} are shown</p>" if len(self) > ROWS_SHOWN else ""
         return f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def by_column(strides: Sequence[StrideResult]) -> Table:
+    """S strides, a row each, with the columns ``schema.RESULT``; a time that a stride has not is ``UNSEEN_NS``."""
+    return Table(schema.RESULT, schema.result_columns(strides))
 
 
 def join_tables(tables: Sequence[Table]) -> Table:

@@ -22,6 +22,7 @@ from fes.analysis.parameters.gait import GaitParameters, statistics_of, symmetry
 from fes.analysis.parameters.motion import MOTION_KEYS, shape_variations
 from fes.analysis.parameters.steps import equalise_sides, steps_of
 from fes.analysis.parameters.strides import neighbours, stride_parameters
+from fes.analysis.tables import by_column
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import Phase
@@ -36,14 +37,15 @@ def gait_of_strides(strides: Sequence[StrideResult], belt_speed_mps: float = NAN
     """The parameters of all feet in ``strides``; of shanks there are none."""
     by_foot = {foot: _sorted_by_start(strides, foot) for foot in FOOT_SENSORS}
     every = {foot: own for foot, own in by_foot.items() if any(stride.valid for stride in own)}
-    scales = equalise_sides(every)
+    scales = equalise_sides({foot: by_column(own) for foot, own in every.items()})
     valid = {foot: [stride for stride in own if stride.valid] for foot, own in every.items()}
     swings = {foot: swings_by_phases(own) for foot, own in valid.items()}
     rows = {}
     for foot, own in valid.items():
         other = next((swings[name] for name in valid if name != foot), no_swings(0))
-        steps, motion = steps_of(own, swings[foot], other), _motion(own, swings[foot])
-        rows[foot] = stride_parameters(own, motion, swings[foot], steps, scale=scales[foot])
+        columns, motion = by_column(own), _motion(own, swings[foot])
+        steps = steps_of(columns, swings[foot], other)
+        rows[foot] = stride_parameters(columns, motion, swings[foot], steps, scale=scales[foot])
     feet = {foot: statistics_of(own) for foot, own in rows.items()}
     belt = belt_speed_mps if math.isfinite(belt_speed_mps) else None
     walk = walk_of(map(travelled, rows.values()), belt)
@@ -88,7 +90,7 @@ def _motion(strides: Sequence[StrideResult], swings: Swings) -> dict[str, FloatA
         shares = np.linspace(0.0, 1.0, len(pitch))
         for axis in range(3):
             shapes[k, :, axis] = np.interp(np.linspace(0.0, 1.0, POINTS), shares, stride.trajectory_m[:, axis])
-    pairs = neighbours(strides)
+    pairs = neighbours(by_column(strides))
     pairs = pairs[np.array(drawable, np.bool_)[pairs].all(axis=1)]
     found[5, pairs[:, 1]] = shape_variations(shapes, pairs)[:, 0]
     return dict(zip(MOTION_KEYS, found, strict=True))

@@ -25,6 +25,7 @@ from fes.analysis.parameters.gait import Statistic, gait_parameters, mean_stride
 from fes.analysis.parameters.motion import motions, pitches, stride_shapes, variations, warped
 from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_of
 from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.tables import by_column
 from fes.cli.main import main
 from fes.estimation.clearance.clearance import FootPath, join_paths
 from fes.recording import Recording, read_recording
@@ -162,7 +163,7 @@ def swings(*first_off_s: float, count: int, swing_s: float = 0.4) -> Swings:
 
 def test_times_of_two_feet_that_alternate():
     own, other = swings(10.0, count=6), swings(10.45, count=6, swing_s=0.35)
-    steps = steps_of(strides_at("left_foot", 9.7, [1.0] * 6), own, other)
+    steps = steps_of(by_column(strides_at("left_foot", 9.7, [1.0] * 6)), own, other)
     assert math.isnan(steps.stride_time_s[0])
     assert steps.stride_time_s[1:] == pytest.approx(1.0)
     assert steps.stance_s[1:] == pytest.approx(0.6)
@@ -171,14 +172,14 @@ def test_times_of_two_feet_that_alternate():
 
 
 def test_one_foot_alone_has_strides_but_no_steps():
-    steps = steps_of(strides_at("left_foot", 9.7, [1.0] * 3), swings(10.0, count=3), no_swings(0))
+    steps = steps_of(by_column(strides_at("left_foot", 9.7, [1.0] * 3)), swings(10.0, count=3), no_swings(0))
     assert steps.stride_time_s[1:] == pytest.approx(1.0)
     assert np.isnan((steps.step_time_s, steps.double_support_s)).all()
 
 
 def test_standing_between_two_walks_is_no_stride():
     own = [*strides_at("left_foot", 9.7, [1.0] * 2), *strides_at("left_foot", 59.7, [1.0] * 2, first_number=3)]
-    times = steps_of(own, swings(10.0, 60.0, count=2), no_swings(0)).stride_time_s
+    times = steps_of(by_column(own), swings(10.0, 60.0, count=2), no_swings(0)).stride_time_s
     assert times[1] == pytest.approx(1.0)
     assert math.isnan(times[2])
 
@@ -187,7 +188,7 @@ def test_a_stride_that_is_missing_ends_no_stride():
     own = strides_at("left_foot", 9.7, [1.0] * 5)
     every = swings(10.0, count=5)
     kept = np.array([0, 1, 3, 4])
-    steps = steps_of([own[k] for k in kept], Swings(*(times[kept] for times in every)), no_swings(0))
+    steps = steps_of(by_column(own)[kept], Swings(*(times[kept] for times in every)), no_swings(0))
     assert np.isnan(steps.stride_time_s).tolist() == [True, False, True, False]
 
 
@@ -216,7 +217,12 @@ def lengths_of(left_m: list[float], right_m: list[float], turn_rad: float = 0.0,
     landed = {foot: no_swings(len(own)) for foot, own in strides.items()}
     for foot, own in strides.items():
         landed[foot].contact_ns[:] = [stride.t_loading_response_ns for stride in own]
-    return step_lengths(strides, landed, (0, round(end_s * NS_PER_S)), dict.fromkeys(strides, 1.0))
+    return step_lengths(
+        {foot: by_column(own) for foot, own in strides.items()},
+        landed,
+        (0, round(end_s * NS_PER_S)),
+        dict.fromkeys(strides, 1.0),
+    )
 
 
 def test_step_lengths_of_a_lame_walk_that_starts_and_ends_side_by_side():
@@ -241,8 +247,8 @@ def test_there_are_no_step_lengths_where_nothing_ties_the_feet_together(turn_rad
 
 def test_both_feet_are_brought_to_a_common_way():
     feet = {
-        "left_foot": strides_at("left_foot", 5.0, [0.82] * 10),
-        "right_foot": strides_at("right_foot", 5.5, [0.78] * 10),
+        "left_foot": by_column(strides_at("left_foot", 5.0, [0.82] * 10)),
+        "right_foot": by_column(strides_at("right_foot", 5.5, [0.78] * 10)),
     }
     scales = equalise_sides(feet)
     assert scales == {"left_foot": pytest.approx(0.8 / 0.82), "right_foot": pytest.approx(0.8 / 0.78)}
@@ -259,10 +265,25 @@ def test_both_feet_are_brought_to_a_common_way():
 )
 def test_feet_that_may_well_go_different_ways_are_left_alone(left, right, turn_rad):
     feet = {
-        "left_foot": strides_at("left_foot", 5.0, left, turn_rad),
-        "right_foot": strides_at("right_foot", 5.5, right),
+        "left_foot": by_column(strides_at("left_foot", 5.0, left, turn_rad)),
+        "right_foot": by_column(strides_at("right_foot", 5.5, right)),
     }
     assert equalise_sides(feet) == {"left_foot": 1.0, "right_foot": 1.0}
+
+
+def test_columns_say_what_the_strides_say():
+    """Of a walk with a gap, too: the strides there are not valid, their numbers hidden, and why is told."""
+    recording, found = calibrations_of(read_recording(TRIAL))
+    walk = recording.tracks["left_foot"]
+    seen = (np.arange(len(walk.t_ns)) - len(walk.t_ns) // 2) // 12 != 0
+    fields = ("t_ns", "t_sensor_ns", "acc_mps2", "gyr_radps")
+    gappy = replace(walk, **{name: getattr(walk, name)[seen] for name in fields})
+    result = analyse(replace(recording, tracks=recording.tracks | {"left_foot": gappy}), found.calibrations)
+    columns, objects = result.stride_columns, by_column(result.strides)
+    assert not objects["valid"].all()
+    assert any(objects["reason"])
+    for name in objects.names:
+        np.testing.assert_array_equal(columns[name], objects[name])
 
 
 # --- means and symmetry ----------------------------------------------------------------------------------

@@ -222,13 +222,14 @@ def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitPa
     ``paretic`` is "left" or "right", for the comparison of the sides; None where nobody knows.
     """
     feet = [foot for foot in FOOT_SENSORS if foot in analysis.events]
-    every = {foot: [s for s in analysis.strides if s.foot == foot] for foot in feet}
-    valid = {foot: [stride for stride in own if stride.valid] for foot, own in every.items()}
+    found = analysis.stride_columns
+    every = {foot: found[found["foot"] == foot] for foot in feet}
+    valid = {foot: own[own["valid"]] for foot, own in every.items()}
     scales = equalise_sides(every)
     paths = {foot: analysis.blocks[foot].paths() for foot in feet}
     pitch = {foot: pitches(paths[foot]) for foot in feet}
     swings = {foot: swings_of(paths[foot], pitch[foot], analysis.events[foot], _arms(analysis, foot)) for foot in feet}
-    places = {foot: paths[foot].places([stride.number for stride in valid[foot]]) for foot in feet}
+    places = {foot: paths[foot].places(valid[foot]["number"]) for foot in feet}
     own_swings = {foot: Swings(*(times[places[foot]] for times in swings[foot])) for foot in feet}
     tracks = [analysis.recording.tracks[foot] for foot in feet]
     lengths, why = dict[str, FloatArray](), "no foot sensor"
@@ -241,9 +242,9 @@ def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitPa
         motion = motion_of(valid[foot], paths[foot].chosen(places[foot]), pitch[foot], own)
         steps = steps_of(valid[foot], own, other)
         strides[foot] = stride_parameters(valid[foot], motion, own, steps, lengths.get(foot), scales[foot])
-    found = {foot: statistics_of(rows) for foot, rows in strides.items()}
+    means = {foot: statistics_of(rows) for foot, rows in strides.items()}
     walk = walk_of(map(travelled, strides.values()), analysis.recording.belt_speed_mps)
-    return GaitParameters(strides, found, symmetry(found, paretic), walk, paretic, why, scales)
+    return GaitParameters(strides, means, symmetry(means, paretic), walk, paretic, why, scales)
 
 
 def _arms(analysis: Analysis, foot: str) -> FootArms | None:

@@ -15,15 +15,16 @@ both sides' stride lengths agree is seen in Wang et al. (2013), Table 2.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from itertools import pairwise, permutations
+from collections.abc import Mapping
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from fes.analysis.parameters.contacts import Swings
+from fes.analysis.tables import Table
 from fes.estimation.strides.boundaries import UNSEEN_NS
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.signals import NS_PER_S, FloatArray, IntArray
 
 LEAST_STRIDES = 6  # of either foot
 STEADY_SHARE = 0.3  # of the median length
@@ -32,10 +33,11 @@ MOST_APART = 0.1  # of the length
 MOST_EXTRA = 2  # strides of one foot more than of the other
 
 
-def equalise_sides(feet: Mapping[str, Sequence[StrideResult]]) -> dict[str, float]:
+def equalise_sides(feet: Mapping[str, Table]) -> dict[str, float]:
     """By foot, the factor that scales its stride lengths and speeds so that both feet go equally far.
 
-    It is 1 with fewer than two feet, on a curve, and where the feet differ by more than a tenth.
+    ``feet`` are the strides of each, as of ``tables.by_column``. It is 1 with fewer than two feet, on a curve, and
+    where the feet differ by more than a tenth.
     """
     measured = {foot: one for foot, strides in feet.items() if (one := _length_moving_count(strides)) is not None}
     if len(feet) == len(measured) == 2:
@@ -47,23 +49,23 @@ def equalise_sides(feet: Mapping[str, Sequence[StrideResult]]) -> dict[str, floa
     return dict.fromkeys(feet, 1.0)
 
 
-def _length_moving_count(strides: Sequence[StrideResult]) -> tuple[float, float, int] | None:
+def _length_moving_count(strides: Table) -> tuple[float, float, int] | None:
     """Of the steady strides: mean length (m) and number, and for how long the foot moves in one (s, median).
 
     It moves from heel rise to stance, or for the stride's whole time where these are not known. None with too few
     strides, and on a curve.
     """
-    valid = [stride for stride in strides if stride.valid]
-    lengths = np.array([stride.stride_length_m for stride in valid])
-    turns = np.array([stride.turn_rad for stride in valid])
+    valid = strides[strides["valid"]]
+    lengths, turns = valid["stride_length_m"], valid["turn_rad"]
     usual = float(np.median(lengths)) if len(lengths) else 0.0
     steady = np.abs(lengths - usual) <= STEADY_SHARE * usual
     count = int(np.count_nonzero(steady))
     if count < LEAST_STRIDES or usual <= 0.0 or abs(float(turns[steady].mean())) > LARGEST_TURN_RAD:
         return None
-    known = [(s.t_pre_swing_ns, s.t_stance_ns, s.t_end_ns - s.t_start_ns) for s in valid]
-    times = [whole if begin is None or end is None else end - begin for begin, end, whole in known]
-    return float(lengths[steady].mean()), max(float(np.median(times)) / NS_PER_S, 0.1), count
+    begin_ns, end_ns = valid["t_pre_swing_ns"], valid["t_stance_ns"]
+    known = (begin_ns != UNSEEN_NS) & (end_ns != UNSEEN_NS)
+    times_ns = np.where(known, end_ns - begin_ns, valid["t_end_ns"] - valid["t_start_ns"])
+    return float(lengths[steady].mean()), max(float(np.median(times_ns)) / NS_PER_S, 0.1), count
 
 
 LONGEST_STRIDE_S = 5.0  # from one contact to the next; beyond, the foot stood
@@ -82,13 +84,7 @@ class Steps(NamedTuple):
     foot_flat_s: FloatArray
 
 
-def times_of(strides: Sequence[StrideResult]) -> tuple[IntArray, IntArray, IntArray]:
-    """Numbers, starts and ends (ns) of S strides."""
-    found = np.array([(s.number, s.t_start_ns, s.t_end_ns) for s in strides], np.int64).reshape(-1, 3)
-    return found[:, 0], found[:, 1], found[:, 2]
-
-
-def steps_of(strides: Sequence[StrideResult], own: Swings, other: Swings) -> Steps:
+def steps_of(strides: Table, own: Swings, other: Swings) -> Steps:
     """Of each of a foot's valid strides by time; ``other`` are the swings of the other foot (none: no steps).
 
     Where a stride is missing between two (its numbers must not be used, or samples were lost for so long that it was
@@ -96,7 +92,7 @@ def steps_of(strides: Sequence[StrideResult], own: Swings, other: Swings) -> Ste
     and double support are not known. Nor is the step, unless the other foot's contact that began it is later than the
     stride's own beginning, or else one in between was not seen either.
     """
-    number, start_ns, end_ns = times_of(strides)
+    number, start_ns, end_ns = (strides[name] for name in ("number", "t_start_ns", "t_end_ns"))
     between_ns = start_ns[1:] - end_ns[:-1]
     room_ns = ROOM_SHARE * float(np.median(np.diff(start_ns))) if len(strides) > 1 else math.inf
     goes_on = np.zeros(len(strides), np.bool_)
@@ -136,7 +132,7 @@ def seconds_between(begin_ns: IntArray, end_ns: IntArray) -> FloatArray:
 
 
 def step_lengths(
-    strides: Mapping[str, Sequence[StrideResult]],
+    strides: Mapping[str, Table],
     swings: Mapping[str, Swings],
     span_ns: tuple[int, int],
     scales: Mapping[str, float],
@@ -150,9 +146,10 @@ def step_lengths(
     hidden = [foot for foot in strides if not swings[foot].seen.all()]
     if why or hidden:
         return {}, why or f"{hidden[0]}: not every stride shows its contact"
-    begin, end = min(own[0].t_start_ns for own in strides.values()), max(own[-1].t_end_ns for own in strides.values())
-    lengths = {foot: [scales[foot] * stride.stride_length_m for stride in own] for foot, own in strides.items()}
-    distances = {foot: np.cumsum([0.0, *own]) for foot, own in lengths.items()}
+    begin = min(own["t_start_ns"][0] for own in strides.values())
+    end = max(own["t_end_ns"][-1] for own in strides.values())
+    lengths = {foot: scales[foot] * own["stride_length_m"] for foot, own in strides.items()}
+    distances = {foot: np.cumsum(np.concatenate(([0.0], own))) for foot, own in lengths.items()}
     found = {}
     for foot, other in permutations(strides, 2):
         contact_ns = swings[foot].contact_ns
@@ -162,19 +159,20 @@ def step_lengths(
     return found, ""
 
 
-def _untied(strides: Mapping[str, Sequence[StrideResult]], span_ns: tuple[int, int]) -> str:
+def _untied(strides: Mapping[str, Table], span_ns: tuple[int, int]) -> str:
     """Why the feet's strides cannot be laid side by side, "" if they can."""
     if len(strides) != 2 or not all(strides.values()):
         return "strides of one foot only"
     for foot, own in strides.items():
-        if not all(stride.valid for stride in own):
+        start_ns, end_ns = own["t_start_ns"], own["t_end_ns"]
+        if not own["valid"].all():
             return f"{foot}: not all strides are valid"
-        if any(abs(stride.turn_rad) > MOST_TURN_RAD for stride in own):
+        if (np.abs(own["turn_rad"]) > MOST_TURN_RAD).any():
             return f"{foot}: the walk turns"
-        if any(b.t_start_ns - a.t_end_ns > LONGEST_STANCE_S * NS_PER_S for a, b in pairwise(own)):
+        if (start_ns[1:] - end_ns[:-1] > LONGEST_STANCE_S * NS_PER_S).any():
             return f"{foot}: the walk is interrupted"
-        usual = float(np.median(np.diff([stride.t_end_ns for stride in own]))) if len(own) > 1 else math.inf
-        before, after = own[0].t_start_ns - span_ns[0], span_ns[1] - own[-1].t_end_ns
+        usual = float(np.median(np.diff(end_ns))) if len(own) > 1 else math.inf
+        before, after = start_ns[0] - span_ns[0], span_ns[1] - end_ns[-1]
         # a recording that is cut off within a stance must not pass for one that ends in standing
         if min(before, after) < usual:
             return "no standing side by side both before and after the walk"

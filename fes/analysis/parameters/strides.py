@@ -5,7 +5,7 @@ its stride time, stance and double support are those between the contact before 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,12 @@ import numpy as np
 from fes.analysis.parameters.contacts import Swings
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.motion import MOTION_KEYS, motions, variations
-from fes.analysis.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Steps, seconds_between, times_of
+from fes.analysis.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Steps, seconds_between
 from fes.analysis.tables import Table
 from fes.estimation.clearance.clearance import FootPaths
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.estimation.strides.schema import Column
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.signals import NS_PER_S, FloatArray, IntArray
 
 STEADY_SHARE = 0.3
 STEADY = "within 30 % of the median stride's length, and turning by no more than 20°; only such count in means"
@@ -37,7 +37,7 @@ _KEPT = ("toe_clearance_m", "heel_clearance_m", "height_gained_m", "turn_rad")
 
 
 def stride_parameters(
-    strides: Sequence[StrideResult],
+    strides: Table,
     motion: Mapping[str, FloatArray],
     swings: Swings,
     steps: Steps,
@@ -46,18 +46,18 @@ def stride_parameters(
 ) -> Table:
     """The parameters of one foot's S valid strides by time, SI units, NaN where not known: :data:`PARAMETER_COLUMNS`.
 
-    ``motion`` is what the trajectories show, by key; ``swings``, ``steps`` and ``step_lengths_m`` (S,) are theirs.
-    ``scale`` is of the stride lengths (:func:`fes.analysis.parameters.steps.equalise_sides`).
+    ``strides`` are as of ``tables.by_column``, ``motion`` is what the trajectories show, by key; ``swings``, ``steps``
+    and ``step_lengths_m`` (S,) are theirs. ``scale`` is of the stride lengths
+    (:func:`fes.analysis.parameters.steps.equalise_sides`).
     """
     names = ("stride_length_m", "clearance_m", *_KEPT)
-    of = np.array([[getattr(s, name) for name in names] for s in strides], np.float64).reshape(-1, len(names)).T
-    found: dict[str, Any] = dict(zip(names, of, strict=True)) | dict(motion)
-    (number, *ends_ns), length_m, seen = times_of(strides), found["stride_length_m"], swings.seen
+    found: dict[str, Any] = {name: strides[name] for name in names} | dict(motion)
+    length_m, seen = found["stride_length_m"], swings.seen
     usual = float(np.nanmedian(length_m)) if np.isfinite(length_m).any() else math.nan
     steady = (np.abs(length_m - usual) <= STEADY_SHARE * usual) & (np.abs(found["turn_rad"]) <= MOST_TURN_RAD)
     swing_s = np.where(seen, (swings.contact_ns - swings.foot_off_ns) / NS_PER_S, math.nan)
-    found |= {"foot": np.array([s.foot for s in strides], object), "number": number, "steady": steady}
-    times = (ends_ns[0], swings.foot_off_ns, swings.contact_ns, ends_ns[1])
+    found |= {"foot": strides["foot"], "number": strides["number"], "steady": steady}
+    times = (strides["t_start_ns"], swings.foot_off_ns, swings.contact_ns, strides["t_end_ns"])
     for name, t_ns in zip(("t_start_s", "t_foot_off_s", "t_contact_s", "t_end_s"), times, strict=True):
         found[name] = np.where(t_ns == UNSEEN_NS, math.nan, 1e-9 * t_ns)
     found |= steps._asdict() | {
@@ -74,19 +74,17 @@ def stride_parameters(
     return Table(PARAMETER_COLUMNS, found)
 
 
-def neighbours(strides: Sequence[StrideResult]) -> IntArray:
+def neighbours(strides: Table) -> IntArray:
     """Of a foot's strides by time, the places (P, 2) of each two that follow on each other."""
-    number, start_ns, end_ns = times_of(strides)
-    near = (np.diff(number) == 1) & (start_ns[1:] - end_ns[:-1] < LONGEST_STANCE_S * NS_PER_S)
+    near = np.diff(strides["number"]) == 1
+    near &= strides["t_start_ns"][1:] - strides["t_end_ns"][:-1] < LONGEST_STANCE_S * NS_PER_S
     after = np.flatnonzero(near) + 1
     return np.column_stack((after - 1, after))
 
 
-def motion_of(
-    strides: Sequence[StrideResult], paths: FootPaths, pitch_rad: FloatArray, swings: Swings
-) -> dict[str, FloatArray]:
+def motion_of(strides: Table, paths: FootPaths, pitch_rad: FloatArray, swings: Swings) -> dict[str, FloatArray]:
     """What the trajectories of one foot's valid strides show (S,), by key; ``paths`` and ``swings`` are theirs."""
-    side = strides[0].foot.removesuffix("_foot") if strides else ""
+    side = strides["foot"][0].removesuffix("_foot") if len(strides) else ""
     found = np.full((len(MOTION_KEYS), len(strides)), math.nan)
     found[:5] = motions(paths, pitch_rad, swings.foot_off_ns, swings.contact_ns, side).T
     pairs = neighbours(strides)

@@ -231,10 +231,9 @@ class FootPaths:
         """Samples of the longest one."""
         return int((self.spans[:, 1] - self.spans[:, 0]).max(initial=0))
 
-    def places(self, numbers: Sequence[int]) -> IntArray:
+    def places(self, numbers: IntArray) -> IntArray:
         """Where the strides of these numbers (S,), which have to be among them, stand."""
-        found: IntArray = np.searchsorted(self.numbers, np.array(numbers, np.int64))
-        return found
+        return np.searchsorted(self.numbers, numbers)
 
     def chosen(self, places: IntArray) -> "FootPaths":
         """The paths at these places (S,) alone."""

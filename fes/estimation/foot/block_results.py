@@ -1,6 +1,7 @@
 """What a foot's tracker found in a block of samples, as arrays until it is asked for."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from fes.estimation.strides.results import (
     TRAJECTORY_POINTS,
     Rows,
     StrideSettings,
+    columns_of_rows,
     stride_paths,
     stride_results,
     toe_out_rad,
@@ -124,6 +126,10 @@ class TrackedBlock:
     def paths(self) -> FootPaths:
         """The trajectories of the valid strides."""
         return stride_paths(self.rows, self.out, self._settings)
+
+    def columns(self) -> dict[str, np.ndarray[Any, Any]]:
+        """The strides' numbers as columns (K,), see ``fes.estimation.strides.schema.result_columns``."""
+        return columns_of_rows(self._foot, self.rows)
 
     def strides(self) -> list[StrideResult]:
         """The strides' results."""

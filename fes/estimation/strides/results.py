@@ -131,6 +131,18 @@ def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResu
     return [_result(foot, row, shapes[k]) for k, row in enumerate(rows.tolist())]
 
 
+def columns_of_rows(foot: str, rows: Rows) -> dict[str, np.ndarray[Any, Any]]:
+    """The numbers of :func:`stride_results` as columns (K,), see ``schema.result_columns``, without an object each."""
+    valid = rows["outcome"] == integration.SOLVED
+    columns: dict[str, Any] = {name: rows[name].copy() for name in _NAMES if name not in _HIDDEN}
+    for name in _UNKNOWN:
+        columns[name][~valid] = math.nan
+    reasons = np.full(len(rows), "", object)
+    for k in np.flatnonzero(~valid | (rows["residual_rate_radps"] > REST_RADPS)).tolist():
+        reasons[k] = _reason(dict(zip(_NAMES, rows[k].tolist(), strict=True)))
+    return columns | {"foot": np.full(len(rows), foot, object), "valid": valid, "reason": reasons}
+
+
 def _result(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
     """Result of one stride from its row and shape (``TRAJECTORY_POINTS``, 5), whose tilt is of the left side up."""
     columns: dict[str, Any] = dict(zip(_NAMES, row, strict=True))

@@ -7,12 +7,13 @@ of a session's strides (:data:`LIVE_TABLE`), and the table in ``docs/strides.md`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import StrideResult
 
 NEGARD = "Negård et al. 2005"
@@ -109,16 +110,10 @@ LIVE_TABLE: Final = tuple(
     for column in TABLE
     if not column.name.endswith("_live_s")
 )
-_DTYPES: Final[dict[type, Any]] = {int: np.int64, float: np.float64}
+RESULT: Final = tuple(c for c in COLUMNS if c.shown and c.name in StrideResult.__dataclass_fields__)
+_DTYPES: Final[dict[type, Any]] = {int: np.int64, float: np.float64, str: object, bool: np.bool_}
 STRIDE: Final = np.dtype([(column.name, _DTYPES[column.kind]) for column in COLUMNS if column.core], align=True)
-_TABLE_DTYPES: Final[dict[str, Any]] = {
-    c.name: object if c.kind is str else np.bool_ if c.kind is bool else _DTYPES[c.kind] for c in TABLE
-}
-_SHOWN: Final = [
-    (column.name, column.in_table().name, column.unit == "ns")
-    for column in COLUMNS
-    if column.shown and column.name in StrideResult.__dataclass_fields__
-]
+_SHOWN: Final = [(column.name, column.in_table().name, column.unit == "ns") for column in RESULT]
 
 
 def table_row(stride: StrideResult) -> dict[str, Any]:
@@ -130,13 +125,23 @@ def table_row(stride: StrideResult) -> dict[str, Any]:
     return row
 
 
-def table_columns(strides: Sequence[StrideResult]) -> dict[str, npt.NDArray[Any]]:
-    """The same of S strides, (S,) each; a time that one has not is NaN."""
+def result_columns(strides: Sequence[StrideResult]) -> dict[str, npt.NDArray[Any]]:
+    """The columns :data:`RESULT` of S strides, (S,) each, times in ns; one that a stride has not is ``UNSEEN_NS``."""
     columns: dict[str, npt.NDArray[Any]] = {}
-    for name, shown, is_time in _SHOWN:
-        values = [getattr(stride, name) for stride in strides]
-        columns[shown] = 1e-9 * np.array(values, np.float64) if is_time else np.array(values, _TABLE_DTYPES[shown])
+    for column in RESULT:
+        values = [getattr(stride, column.name) for stride in strides]
+        if column.unit == "ns":
+            values = [UNSEEN_NS if value is None else value for value in values]
+        columns[column.name] = np.array(values, _DTYPES[column.kind])
     return columns
+
+
+def table_columns(columns: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Of :func:`result_columns` those of :data:`LIVE_TABLE`, times in s; one that a stride has not is NaN."""
+    return {
+        shown: np.where(columns[name] == UNSEEN_NS, np.nan, 1e-9 * columns[name]) if is_time else columns[name]
+        for name, shown, is_time in _SHOWN
+    }
 
 
 def markdown() -> str:

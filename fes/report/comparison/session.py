@@ -19,7 +19,7 @@ from fes.analysis.parameters.steps import steps_of
 from fes.analysis.parameters.strides import motion_of, stride_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
-from fes.analysis.tables import Table
+from fes.analysis.tables import Table, by_column
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
 from fes.recording import Recording, RecordingError, Track, read_recording
@@ -206,9 +206,9 @@ def by_phases(analysis: Analysis) -> dict[str, Table]:
     for foot, own in feet.items():
         other = next((swings[name] for name in feet if name != foot), no_swings(0))
         paths = analysis.blocks[foot].paths()
-        chosen = paths.chosen(paths.places([stride.number for stride in own]))
-        motion = motion_of(own, chosen, pitches(paths), swings[foot])
-        found[foot] = stride_parameters(own, motion, swings[foot], steps_of(own, swings[foot], other))
+        columns = by_column(own)
+        motion = motion_of(columns, paths.chosen(paths.places(columns["number"])), pitches(paths), swings[foot])
+        found[foot] = stride_parameters(columns, motion, swings[foot], steps_of(columns, swings[foot], other))
     return found
 
 
