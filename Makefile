@@ -91,34 +91,34 @@ format: $(VENV)/dev.stamp
 	$(BIN)/ruff format .
 
 bench: $(VENV)/dev.stamp $(PEERS)/peers.stamp
-	$(BIN)/python benchmarks/speed_table.py --peers $(PEERS)/bin/python --keep; $(BIN)/python benchmarks/figures.py
+	$(BIN)/python benchmarks/speed/speed_table.py --peers $(PEERS)/bin/python --keep; $(BIN)/python benchmarks/lib/figures.py
 
 bench-figures: $(VENV)/dev.stamp
-	$(BIN)/python benchmarks/bundled_trials.py
-	$(BIN)/python benchmarks/stroke_treadmill.py
-	$(BIN)/python benchmarks/stride_length.py
-	$(BIN)/python benchmarks/clearance.py
-	$(BIN)/python benchmarks/roll.py
-	$(BIN)/python benchmarks/inclines.py
-	$(BIN)/python benchmarks/events.py
-	$(BIN)/python benchmarks/zero_velocity.py
-	$(BIN)/python benchmarks/ankle.py
-	$(BIN)/python benchmarks/shank_phases.py
-	$(BIN)/python benchmarks/orientation.py
-	$(BIN)/python benchmarks/orientation_limits.py
+	$(BIN)/python benchmarks/accuracy/bundled_trials.py
+	$(BIN)/python benchmarks/accuracy/stroke_treadmill.py
+	$(BIN)/python benchmarks/accuracy/stride_length.py
+	$(BIN)/python benchmarks/accuracy/clearance.py
+	$(BIN)/python benchmarks/accuracy/roll.py
+	$(BIN)/python benchmarks/accuracy/inclines.py
+	$(BIN)/python benchmarks/accuracy/events.py
+	$(BIN)/python benchmarks/accuracy/zero_velocity.py
+	$(BIN)/python benchmarks/accuracy/ankle.py
+	$(BIN)/python benchmarks/accuracy/shank_phases.py
+	$(BIN)/python benchmarks/accuracy/orientation.py
+	$(BIN)/python benchmarks/accuracy/orientation_limits.py
 
 bench-accuracy: $(VENV)/dev.stamp $(PEERS)/peers.stamp
-	$(BIN)/python benchmarks/accuracy_table.py --peers $(PEERS)/bin/python
+	$(BIN)/python benchmarks/accuracy/accuracy_table.py --peers $(PEERS)/bin/python
 
-# What a page says of figures is rendered from benchmarks/results/; benchmarks/figures.py says how.
+# What a page says of figures is rendered from benchmarks/results/; benchmarks/lib/figures.py says how.
 figures: $(VENV)/dev.stamp
-	$(BIN)/python benchmarks/figures.py
+	$(BIN)/python benchmarks/lib/figures.py
 
 figures-check: $(VENV)/dev.stamp
-	$(BIN)/python benchmarks/figures.py --check
+	$(BIN)/python benchmarks/lib/figures.py --check
 
 figures-all: $(VENV)/dev.stamp $(PEERS)/peers.stamp
-	$(BIN)/python benchmarks/figures.py --all
+	$(BIN)/python benchmarks/lib/figures.py --all
 
 # The libraries we compare with: an environment of their own, never part of the product.
 peers: $(PEERS)/peers.stamp
@@ -163,8 +163,8 @@ hil: $(VENV)/run.stamp
 	  done; \
 	done; \
 	$(BIN)/fes hil --only random_frames --repeat 16 || worst=$$?; \
-	$(BIN)/python benchmarks/hil_table.py out/hil-*/hil.json --json benchmarks/results/hil.json && \
-	  $(BIN)/python benchmarks/figures.py; exit $$worst
+	$(BIN)/python benchmarks/safety/hil_table.py out/hil-*/hil.json --json benchmarks/results/hil.json && \
+	  $(BIN)/python benchmarks/lib/figures.py; exit $$worst
 
 trials: $(VENV)/run.stamp
 	$(BIN)/fes trials sim_inputs

@@ -57,7 +57,7 @@ class Thresholds(NamedTuple):
 
     The measures come from ``fes.estimation.foot.calibration`` (of a shank ``fes.estimation.shank.calibration``). The
     rate of a foot, of which many limits are shares, is the greater of push-off and half the fall: a weak push-off says
-    little. Of origin *data* is what all walkers of ``benchmarks/left_out.py`` chose; for seven of them
+    little. Of origin *data* is what all walkers of ``benchmarks/accuracy/left_out.py`` chose; for seven of them
     (docs/accuracy.md) each walker is also judged with values that were chosen without it.
     """
 

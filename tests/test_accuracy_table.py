@@ -10,18 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def benchmarks_on_the_path():
-    sys.path.insert(0, str(BENCHMARKS))
-    yield
-    sys.path.remove(str(BENCHMARKS))
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = ROOT / "benchmarks" / "accuracy" / "accuracy_table.py"
 
 
 def test_a_row_counts_what_is_finite():
-    from accuracy_row import row_of
+    from benchmarks.accuracy.accuracy_row import row_of
 
     row = row_of("set", "length", "cm", "fes x", "causal", [1.0, -2.0, np.nan, 4.0], recall=0.75)
     assert (row.n, row.bias, row.worst, row.recall) == (3, 1.0, 4.0, 0.75)
@@ -36,8 +30,8 @@ def test_a_row_counts_what_is_finite():
 
 
 def test_bars_hold_for_every_method_alike():
-    from accuracy_bars import LENGTH_OWN, with_bar
-    from accuracy_row import row_of
+    from benchmarks.accuracy.accuracy_bars import LENGTH_OWN, with_bar
+    from benchmarks.accuracy.accuracy_row import row_of
 
     good = row_of("gaitmap_walk", LENGTH_OWN, "cm", "fes x", "causal", [1.0, -1.5], 1.0)
     missed_one = row_of("gaitmap_walk", LENGTH_OWN, "cm", "peer", "off-line", [0.1, 0.1], 0.98)
@@ -47,7 +41,7 @@ def test_bars_hold_for_every_method_alike():
 
 
 def test_cases_and_results_survive_their_files_and_a_failure_is_told(tmp_path):
-    from peers.exchange import Case, Method, run_all
+    from benchmarks.peers.exchange import Case, Method, run_all
 
     rng = np.random.default_rng(1)
     case = Case(
@@ -76,9 +70,9 @@ def test_cases_and_results_survive_their_files_and_a_failure_is_told(tmp_path):
 
 
 def test_judging_lengths_lifts_and_failures(tmp_path):
-    from peers.cases import Asked
-    from peers.exchange import Case, Method, run_all
-    from peers.judge import judge, strides_hit
+    from benchmarks.peers.cases import Asked
+    from benchmarks.peers.exchange import Case, Method, run_all
+    from benchmarks.peers.judge import judge, strides_hit
 
     zeros = np.zeros((9, 3))
     borders = np.array([[0, 4], [4, 8]])
@@ -102,9 +96,9 @@ def test_judging_lengths_lifts_and_failures(tmp_path):
 
 
 def test_our_ends_are_the_quietest_instants_nearby_and_the_truth_is_taken_there():
-    from peers.cases import OUR_ENDS, Asked, at_our_ends
-    from peers.exchange import Case
-    from real_sets import PathWalk, track_of
+    from benchmarks.lib.real_sets import PathWalk, track_of
+    from benchmarks.peers.cases import OUR_ENDS, Asked, at_our_ends
+    from benchmarks.peers.exchange import Case
 
     rate_hz, n = 100.0, 400
     gyr = np.full((n, 3), 2.0)
@@ -130,8 +124,8 @@ def test_our_ends_are_the_quietest_instants_nearby_and_the_truth_is_taken_there(
 
 
 def test_the_page_lists_the_least_error_first_and_every_bar():
-    from accuracy_row import Row
-    from accuracy_text import in_order, markdown, verdicts
+    from benchmarks.accuracy.accuracy_row import Row
+    from benchmarks.accuracy.accuracy_text import in_order, markdown, verdicts
 
     rows = in_order(
         [
@@ -153,7 +147,14 @@ def test_the_page_lists_the_least_error_first_and_every_bar():
 
 def test_without_recordings_it_says_so(tmp_path):
     done = subprocess.run(
-        [sys.executable, BENCHMARKS / "accuracy_table.py", "--data", tmp_path, "--json", tmp_path / "x.json"],
+        [
+            sys.executable,
+            TABLE,
+            "--data",
+            tmp_path,
+            "--json",
+            tmp_path / "x.json",
+        ],
         capture_output=True,
         text=True,
         timeout=120,
@@ -165,7 +166,7 @@ def test_without_recordings_it_says_so(tmp_path):
 
 
 def test_the_lock_holds_hashes_and_no_address():
-    text = (BENCHMARKS.parent / "locks/peers.lock").read_text()
+    text = (ROOT / "locks/peers.lock").read_text()
     assert "://" not in text
     names = {line.split("==")[0] for line in text.splitlines() if "==" in line and not line.startswith(" ")}
     assert {"gaitmap", "gaitmap-mad", "imufusion", "vqf", "ahrs"} <= names

@@ -14,11 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def figures():
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        yield importlib.import_module("figures")
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
+    return importlib.import_module("benchmarks.lib.figures")
 
 
 @pytest.fixture
@@ -86,8 +82,8 @@ def test_a_sign_is_a_figure_too_and_so_is_a_row(figures, kept):
 
 BENCHMARK = """
 import sys
-sys.path.insert(0, {benchmarks!r})
-from figures import Figures, Result
+sys.path.insert(0, {root!r})
+from benchmarks.lib.figures import Figures, Result
 if {ends}:
     sys.exit({ends})
 Result("one", [Figures("Lengths", ["walk", "SL, m"], [["H", {value!r}]])]).keep(__import__("pathlib").Path(sys.argv[2]))
@@ -106,23 +102,24 @@ Result("one", [Figures("Lengths", ["walk", "SL, m"], [["H", {value!r}]])]).keep(
 def test_the_check_fails_on_a_changed_figure(figures, tmp_path, capsys, value, ends, code, said):
     figures.Result("one", [figures.Figures("Lengths", ["walk", "SL, m"], [["H", "1.37"]])]).keep(tmp_path / "one.json")
     script = tmp_path / "one.py"
-    script.write_text(BENCHMARK.format(benchmarks=str(ROOT / "benchmarks"), value=value, ends=ends), encoding="utf-8")
+    script.write_text(BENCHMARK.format(root=str(ROOT), value=value, ends=ends), encoding="utf-8")
     assert figures.check({"one": (str(script),)}, tmp_path) == code
     assert said in capsys.readouterr().out
 
 
 def test_what_a_benchmark_prints_is_what_it_keeps(figures, tmp_path, capsys, monkeypatch):
-    import command_line
     from rich.table import Table
+
+    from benchmarks.lib import command_line
 
     table = Table("walk", "T4 ms", title="late")
     table.add_row("H", "+9 [+3, +17]")
     path = tmp_path / "one.json"
-    monkeypatch.setattr(sys, "argv", ["benchmarks/one.py", "--feet", "3", "--json", str(path), "--jobs=2"])
+    monkeypatch.setattr(sys, "argv", ["benchmarks/lib/one.py", "--feet", "3", "--json", str(path), "--jobs=2"])
     options = command_line.parser_of("One.").parse_args(["--json", str(path)])
     command_line.publish(command_line.console_of(80), [table], options, ["[x] stays as it is."])
     assert "[x] stays as it is." in capsys.readouterr().out
     kept = figures.Result.read(path)
-    assert (kept.command, kept.notes) == ("python benchmarks/one.py --feet 3", ["[x] stays as it is."])
+    assert (kept.command, kept.notes) == ("python benchmarks/lib/one.py --feet 3", ["[x] stays as it is."])
     (one,) = kept.tables
     assert (one.title, one.columns, one.rows) == ("late", ["walk", "T4 ms"], [["H", "+9 [+3, +17]"]])

@@ -7,21 +7,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from event_cases import Case as EventCase
-from event_cases import gaitmap_cases
-from given_borders import quietest_near
-from orientation_sets import Trial, broad, gaitmap_pitch
-from real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
-from stride_length import strides_of
-from stroke_treadmill import LAST_S
-from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
 
+from benchmarks.accuracy.given_borders import quietest_near
+from benchmarks.accuracy.orientation_sets import Trial, broad, gaitmap_pitch
+from benchmarks.accuracy.stride_length import strides_of
+from benchmarks.accuracy.stroke_treadmill import LAST_S
+from benchmarks.accuracy.zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
+from benchmarks.lib.event_cases import Case as EventCase
+from benchmarks.lib.event_cases import gaitmap_cases
+from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
+from benchmarks.peers.exchange import Case
 from fes.analysis.ground_path import GroundPath, ground_path
 from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray, StrideResult
-from peers.exchange import Case
 
 WARM_UP_S = 10.0
 OUR_ENDS = "our ends"  # the task of those peers that are also asked between the borders that our solver chose

@@ -7,15 +7,24 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from accuracy_bars import BELT, BELT_OWN, CLOSURE, INCLINATION, LENGTH_GIVEN, LENGTH_OWN, LIFT_GIVEN, PITCH
-from accuracy_row import Row, row_of
-from events import OFFLINE_S, compare
-from orientation_sets import upward
-from real_sets import STRAIGHT_RAD
-from zero_velocity import LIMIT_MPS, scores
 
+from benchmarks.accuracy.accuracy_bars import (
+    BELT,
+    BELT_OWN,
+    CLOSURE,
+    INCLINATION,
+    LENGTH_GIVEN,
+    LENGTH_OWN,
+    LIFT_GIVEN,
+    PITCH,
+)
+from benchmarks.accuracy.accuracy_row import Row, row_of
+from benchmarks.accuracy.events import OFFLINE_S, compare
+from benchmarks.accuracy.orientation_sets import upward
+from benchmarks.accuracy.zero_velocity import LIMIT_MPS, scores
+from benchmarks.lib.real_sets import STRAIGHT_RAD
+from benchmarks.peers.cases import OUR_ENDS, Asked, between, moving_truth
 from fes.signals import FloatArray
-from peers.cases import OUR_ENDS, Asked, between, moving_truth
 
 Found = dict[str, np.ndarray]
 Pairs = list[tuple[Asked, Found]]

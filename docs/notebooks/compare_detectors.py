@@ -55,14 +55,14 @@ for name, estimate in (("off-line", fes.analyse(walk)), ("as in a session", fes.
 # %% [markdown]
 # ## The same rules side by side
 #
-# `benchmarks/events.py` runs every rule over every bundled walk, the peaks that Kumar et al. print among them.
+# `benchmarks/accuracy/events.py` runs every rule over every bundled walk, the peaks that Kumar et al. print among them.
 
 # %%
 import sys
 
-sys.path.append(str(Path("../../benchmarks").resolve()))
-import events
-from event_cases import bundled_cases
+sys.path.append(str(Path("../..").resolve()))
+from benchmarks.accuracy import events
+from benchmarks.lib.event_cases import bundled_cases
 
 cases = [case for case in bundled_cases() if case.name == "bundled both_feet_100hz"]
 results = {method: events.score(cases[0].name, cases, method) for method in events.METHODS}

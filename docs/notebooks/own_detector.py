@@ -15,9 +15,9 @@ from scipy.signal import butter, sosfiltfilt
 
 import fes
 
-sys.path.append(str(Path("../../benchmarks").resolve()))
-import events
-from event_cases import bundled_cases
+sys.path.append(str(Path("../..").resolve()))
+from benchmarks.accuracy import events
+from benchmarks.lib.event_cases import bundled_cases
 
 # %%
 FAST = 0.5  # of the turning rate that only a twentieth of the samples exceeds
@@ -51,7 +51,7 @@ print({name: len(times_s) for name, times_s in found.items()})
 # ## The benchmark of the events
 #
 # The same cases, the same tolerance and the same counts of what was missed and what is extra as in
-# `python benchmarks/events.py`.
+# `python benchmarks/accuracy/events.py`.
 
 # %%
 events.METHODS["own"] = threshold_swings

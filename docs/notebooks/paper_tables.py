@@ -13,8 +13,8 @@ import os
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path("../../benchmarks").resolve()))  # of the project's source, seen from this notebook
-import papers
+sys.path.append(str(Path("../..").resolve()))  # of the project's source, seen from this notebook
+from benchmarks.accuracy import papers
 
 data = Path(os.environ["FES_DATA"])
 

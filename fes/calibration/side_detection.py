@@ -6,8 +6,8 @@ the ground moving outward; and it swings in an outward bow. Only the difference 
 what both have in common (a tilted belt, a turn) drops out. Nothing is known of the sensors' mounting: the axes are
 those of the calibration, towards the toe and up.
 
-Measured on 15 recordings of 5 people: see ``benchmarks/shank_phases.py``. That is few people. Where the signs do not
-agree clearly, no side is told: a wrong side stimulates the wrong leg.
+Measured on 15 recordings of 5 people: see ``benchmarks/accuracy/shank_phases.py``. That is few people. Where the signs
+do not agree clearly, no side is told: a wrong side stimulates the wrong leg.
 """
 
 from dataclasses import dataclass

@@ -4,7 +4,7 @@ A triad that repeats itself, or says nothing but noise, or is scaled, has number
 cannot: where a sensor turns, gravity turns in it; where force changes, something turns; and from one rest of a foot to
 the next the force, turned along with the gyroscope, adds up to gravity and no more. Samples are judged by means of
 some 15 ms, which noise hardly moves. Every bound was held against all real recordings, and virtual walks
-(``benchmarks/coherence.py``, docs/safety.md).
+(``benchmarks/safety/coherence.py``, docs/safety.md).
 """
 
 import math

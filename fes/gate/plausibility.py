@@ -1,7 +1,8 @@
 """Can these numbers come from this sensor, on this foot, mounted as it was? Axes, units, range, mounting.
 
-Every bound was held against real recordings (docs/safety.md): gait never comes near them. ``benchmarks/wrong_unit.py``
-shows how soon a wrong unit or exchanged axes are found, and on how many real recordings they are found wrongly.
+Every bound was held against real recordings (docs/safety.md): gait never comes near them.
+``benchmarks/safety/wrong_unit.py`` shows how soon a wrong unit or exchanged axes are found, and on how many real
+recordings they are found wrongly.
 """
 
 import math

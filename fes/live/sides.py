@@ -23,7 +23,7 @@ from fes.signals import (
     SystemFault,
 )
 
-LEAST_SCORE: Final = 0.45  # to say exchanged, of a session under way (benchmarks/exchanged_feet.py)
+LEAST_SCORE: Final = 0.45  # to say exchanged, of a session under way (benchmarks/safety/exchanged_feet.py)
 # of each foot: on 40 real pairs two strides name as many as five, and one pair wrongly, as five do
 LEAST_STRIDES: Final = 2
 MOST_STRIDES: Final = 20  # of each foot; whoever is not told by then is not

@@ -8,7 +8,7 @@ The machine sees a heel rise some 25 ms late, and a burst still has to climb. Tw
 
 The latest of all these is what is expected, anew at every sample. It says itself whether it may be used: it notes of
 every stance how far off it was, used or not, and a stance in which no heel rose makes it begin anew. Pure, causal; its
-clock is the sensor's. ``benchmarks/predicted_onset.py`` judges each person with a lead that the others chose; the
+clock is the sensor's. ``benchmarks/loop/predicted_onset.py`` judges each person with a lead that the others chose; the
 other constants were set with all of them in view.
 """
 

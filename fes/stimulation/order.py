@@ -17,7 +17,7 @@ A sensor put on turned, an axis with the wrong sign, a foot that scrapes along t
 
 A swing is judged at the next heel rise, when its stride is known. One in which samples were missing is not judged, nor
 one that held a stop, nor a heel that rose and was put back without a swing. Pure, causal; it only forbids. How soon it
-speaks, and how often for nothing: ``benchmarks/disorder.py``, docs/safety.md.
+speaks, and how often for nothing: ``benchmarks/safety/disorder.py``, docs/safety.md.
 """
 
 from collections import Counter, deque

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
-import sys
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -27,18 +26,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
-    folder = ROOT / "benchmarks"
-    sys.path.insert(0, str(folder))  # the benchmarks import each other
-    try:
-        spec = importlib.util.spec_from_file_location("benchmark_ankle", folder / "ankle.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module  # dataclasses look their module up by name
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(folder))
-    return module
+    return importlib.import_module("benchmarks.accuracy.ankle")
 
 
 @pytest.fixture(scope="module")

@@ -27,9 +27,8 @@ NEEDS_MARKERS = [
 @pytest.fixture(scope="module")
 def benchmark() -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "benchmarks"))
         patch.setenv("FES_DATA", str(DATA))
-        yield importlib.import_module("clearance")
+        yield importlib.import_module("benchmarks.accuracy.clearance")
 
 
 @pytest.mark.parametrize("levels", [False, True])
@@ -75,7 +74,7 @@ class TestMarkers:
 @pytest.mark.parametrize("patient", ["MR08", "MR11"])
 @pytest.mark.parametrize("foot", ["left_foot", "right_foot"])
 def test_runs_of_one_patient_give_the_same_geometry(benchmark: ModuleType, patient: str, foot: str) -> None:
-    runs = importlib.import_module("stroke_treadmill")
+    runs = importlib.import_module("benchmarks.accuracy.stroke_treadmill")
     found: list[EstimatedGeometry] = []
     for path in sorted((DATA / "stroke_treadmill").glob(f"{patient}_*.npz")):
         tracks, _ = runs.load_run(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -25,10 +24,8 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> Iterator[ModuleType]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "benchmarks"))
-        yield importlib.import_module("events")
+def benchmark() -> ModuleType:
+    return importlib.import_module("benchmarks.accuracy.events")
 
 
 @pytest.mark.parametrize("method", ["off-line", "causal, instants"])

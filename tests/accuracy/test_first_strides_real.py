@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
@@ -26,10 +25,8 @@ FEET = 16  # eight people's, with turns in all of them
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> Iterator[ModuleType]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "benchmarks"))
-        yield importlib.import_module("first_strides")
+def benchmark() -> ModuleType:
+    return importlib.import_module("benchmarks.loop.first_strides")
 
 
 def test_who_walks_and_turns_and_pauses_goes_on_being_stimulated(benchmark: ModuleType) -> None:

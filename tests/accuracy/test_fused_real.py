@@ -26,9 +26,8 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def benchmark() -> Iterator[ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "benchmarks"))
         patch.setenv("FES_DATA", str(DATA))
-        yield importlib.import_module("stride_length")
+        yield importlib.import_module("benchmarks.accuracy.stride_length")
 
 
 def rmse_cm(errors_m: list[float]) -> float:

@@ -1,14 +1,9 @@
-"""The walks of ``benchmarks/landings.py`` are what they say, and foot flat is told of them."""
-
-import sys
-from pathlib import Path
+"""The walks of ``benchmarks/accuracy/landings.py`` are what they say, and foot flat is told of them."""
 
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from landings import LANDINGS, judge, walk
+from benchmarks.accuracy.landings import LANDINGS, judge, walk
 
 
 @pytest.mark.parametrize("landing", LANDINGS)

@@ -9,8 +9,6 @@ from __future__ import annotations
 import importlib
 import math
 import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -31,23 +29,13 @@ BAR_DEG = 0.7
 
 
 @pytest.fixture(scope="module")
-def sets() -> Iterator[ModuleType]:
-    folder = str(ROOT / "benchmarks")
-    sys.path.insert(0, folder)
-    try:
-        yield importlib.import_module("orientation_sets")
-    finally:
-        sys.path.remove(folder)
+def sets() -> ModuleType:
+    return importlib.import_module("benchmarks.accuracy.orientation_sets")
 
 
 @pytest.fixture(scope="module")
-def benchmark(sets: ModuleType) -> Iterator[ModuleType]:
-    folder = str(ROOT / "benchmarks")
-    sys.path.insert(0, folder)
-    try:
-        yield importlib.import_module("orientation")
-    finally:
-        sys.path.remove(folder)
+def benchmark(sets: ModuleType) -> ModuleType:
+    return importlib.import_module("benchmarks.accuracy.orientation")
 
 
 def test_inclination_of_a_moving_board(benchmark: ModuleType, sets: ModuleType) -> None:

@@ -1,11 +1,10 @@
-"""Six severe, slow feet against instants that two raters set by hand, by ``benchmarks/severe_feet.py``."""
+"""Six severe, slow feet against instants that two raters set by hand, by ``benchmarks/accuracy/severe_feet.py``."""
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import math
 import os
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,7 +15,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")
 RUNS = sorted((DATA / "unseen_walkers" / "stroke_walks").glob("*.npz"))
-BENCHMARK = ROOT / "benchmarks" / "severe_feet.py"
 TOGETHER, DRAGGED = "5 feet together", "S22 right, dragged"
 needs_data = pytest.mark.skipif(
     not RUNS, reason=f"no unseen_walkers/stroke_walks in {DATA}; set FES_DATA to the folder that holds unseen_walkers"
@@ -25,13 +23,7 @@ needs_data = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("benchmark_severe_feet", BENCHMARK)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up by name
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("benchmarks.accuracy.severe_feet")
 
 
 @pytest.fixture(scope="module")

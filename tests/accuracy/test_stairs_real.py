@@ -24,10 +24,9 @@ SAME_SWING_NS = 150_000_000
     not (DATA / "gaitmap_walk").is_dir(),
     reason=f"no gaitmap_walk in {DATA}; set FES_DATA to the folder that holds it",
 )
-def test_every_stride_up_the_stairs_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    walk = importlib.import_module("hemiparetic_walks").stairs(DATA)
-    live_strides = importlib.import_module("inclines").live_strides
+def test_every_stride_up_the_stairs_is_skipped() -> None:
+    walk = importlib.import_module("benchmarks.accuracy.hemiparetic_walks").stairs(DATA)
+    live_strides = importlib.import_module("benchmarks.accuracy.inclines").live_strides
     climbed = [
         (stride.foot, stride.t_swing_ns)
         for stride in analyse(walk, ground=Ground(free=True)).strides

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import math
 import os
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -13,7 +12,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data") / "stroke_treadmill"
-BENCHMARK = ROOT / "benchmarks" / "stroke_treadmill.py"
 RUNS = sorted(DATA.glob("*.npz"))
 pytestmark = [
     pytest.mark.data,
@@ -25,13 +23,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("benchmark_stroke_treadmill", BENCHMARK)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up by name
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("benchmarks.accuracy.stroke_treadmill")
 
 
 def test_all_runs_are_there() -> None:

@@ -9,10 +9,8 @@ The bounds leave a little room.
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -31,21 +29,8 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> Iterator[ModuleType]:
-    folder = str(ROOT / "benchmarks")
-    sys.path.insert(0, folder)  # the benchmark imports its neighbours
-    try:
-        spec = importlib.util.spec_from_file_location(
-            "benchmark_zero_velocity", ROOT / "benchmarks" / "zero_velocity.py"
-        )
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module  # dataclasses look their module up by name
-        spec.loader.exec_module(module)
-        yield module
-    finally:
-        sys.path.remove(folder)
+def benchmark() -> ModuleType:
+    return importlib.import_module("benchmarks.accuracy.zero_velocity")
 
 
 @pytest.mark.parametrize(

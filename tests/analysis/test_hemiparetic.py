@@ -385,9 +385,8 @@ RUN = DATA / "stroke_treadmill" / "MR05_FBIC.npz"
 
 
 @pytest.mark.skipif(not RUN.is_file(), reason="the stroke-treadmill recordings are not here (FES_DATA)")
-def test_strides_and_speed_of_a_stroke_survivor(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    bench = importlib.import_module("hemiparetic")
+def test_strides_and_speed_of_a_stroke_survivor():
+    bench = importlib.import_module("benchmarks.accuracy.hemiparetic")
     feet, side, ground = bench.stroke_run(RUN)
     for foot in feet:
         assert foot.off("own") <= 0.01

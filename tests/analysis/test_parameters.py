@@ -6,7 +6,6 @@ import csv
 import importlib
 import json
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,11 +37,7 @@ TRIAL = ROOT / "sim_inputs" / "both_feet_100hz.parquet"
 
 @pytest.fixture(scope="module")
 def bench():
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        yield importlib.import_module("parameters")
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
+    return importlib.import_module("benchmarks.accuracy.parameters")
 
 
 @pytest.fixture(scope="module")

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import pairwise
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
 from replays import TRIALS
 
+from benchmarks.loop.closed_loop_walk import Walk, calibration_of, walk
 from fes.config import Channel, load_session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.simulation.forward import settings_for
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-try:
-    from closed_loop_walk import Walk, calibration_of, walk
-finally:
-    sys.path.remove(str(BENCHMARKS))
 
 PATIENT = settings_for("severe", seed=3, sensors=("right_foot",), calf_channel=1)
 SESSION = load_session(TRIALS / "session_push_off.toml")

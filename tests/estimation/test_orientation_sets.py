@@ -5,9 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import struct
-import sys
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -19,21 +17,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def sets() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        yield importlib.import_module("orientation_sets")
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
+def sets() -> ModuleType:
+    return importlib.import_module("benchmarks.accuracy.orientation_sets")
 
 
 @pytest.fixture(scope="module")
-def benchmark(sets: ModuleType) -> Iterator[ModuleType]:
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        yield importlib.import_module("orientation")
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
+def benchmark(sets: ModuleType) -> ModuleType:
+    return importlib.import_module("benchmarks.accuracy.orientation")
 
 
 def wxyz(rotation: Rotation) -> np.ndarray:

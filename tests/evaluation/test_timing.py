@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import shutil
 from collections.abc import Mapping
@@ -174,12 +175,7 @@ class Slow(Controller):
 
 @pytest.fixture(scope="module")
 def plants():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "benchmarks"))
-        patch.syspath_prepend(str(ROOT))
-        import timing_plants
-
-        return timing_plants
+    return importlib.import_module("benchmarks.loop.timing_plants")
 
 
 @pytest.fixture(scope="module")

@@ -392,7 +392,7 @@ def test_several_campaigns_make_one_table(tmp_path: Path) -> None:
     for number, data in enumerate((one, two, three)):
         paths.append(tmp_path / f"{number}.json")
         paths[-1].write_text(json.dumps(data))
-    command = [sys.executable, str(PROJECT / "benchmarks/hil_table.py")]
+    command = [sys.executable, str(PROJECT / "benchmarks/safety/hil_table.py")]
     said = subprocess.run([*command, *map(str, paths)], capture_output=True, text=True, check=True).stdout
     assert "| fault | off within | slcan | serial |" in said
     assert "| sensor silent | 100 ms | **101.0 ms, 2 of 3** | **still on, 0 of 1** |" in said

@@ -1,9 +1,10 @@
-"""The wrong phase that a line late from its opening gives: ``benchmarks/late_line.py`` before and after the test."""
+"""The wrong phase that a line late from its opening gives; ``benchmarks/safety/late_line.py`` measures it."""
 
 from __future__ import annotations
 
 import pytest
-from late_line import armed_again
+
+from benchmarks.safety.late_line import armed_again
 
 
 @pytest.mark.requirement("SR-27")

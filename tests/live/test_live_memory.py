@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "live_memory.py"
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "speed" / "live_memory.py"
 
 
 @pytest.mark.slow

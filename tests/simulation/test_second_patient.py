@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+from benchmarks.loop import closed_loop_walk, second_patient, tuning_cohort
 
 
 @pytest.fixture
-def second(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import closed_loop_walk
-    import second_patient
-    import tuning_cohort
-
-    yield second_patient, closed_loop_walk, tuning_cohort
-    for name in ("second_patient", "closed_loop_walk", "tuning_cohort"):
-        sys.modules.pop(name, None)
+def second() -> Any:
+    return second_patient, closed_loop_walk, tuning_cohort
 
 
 def test_level_strides_are_level_to_the_sensor(second: Any) -> None:

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
+from benchmarks.loop.closed_loop_walk import walk
+from benchmarks.loop.tuning import session_of
+from benchmarks.loop.tuning_cohort import patient
 from fes.simulation.forward import VirtualPatient
 from fes.simulation.forward.gait_patterns import PATTERNS
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-try:
-    from closed_loop_walk import walk
-    from tuning import session_of
-    from tuning_cohort import patient
-finally:
-    sys.path.remove(str(BENCHMARKS))
 
 SEED, STRIDES = 17, 25
 SETTLED = 10  # strides: the first ones of hemiparetic_1 end twice (T6), and three in order must come after that

@@ -13,9 +13,9 @@ it falls. The path of the stride shows both, and moves the event only where it c
   A shoe gives way for a few hundredths of a second, so up to ``SHOE_YIELDS_S`` apart the off-line event (which agrees
   with optical markers) stays, beyond twice that the descent is believed, and in between the two are mixed.
 
-No paper. The constants were chosen on virtual walks (benchmarks/parameters.py measures them on others, too). Against
-the markers of one healthy adult (same benchmark) they add 1 ms to IC's mean and SD, and nothing to FO; of slow real
-feet no true contacts were at hand.
+No paper. The constants were chosen on virtual walks (benchmarks/accuracy/parameters.py measures them on others, too).
+Against the markers of one healthy adult (same benchmark) they add 1 ms to IC's mean and SD, and nothing to FO; of slow
+real feet no true contacts were at hand.
 """
 
 from typing import NamedTuple

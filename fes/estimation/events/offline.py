@@ -39,8 +39,8 @@ drift is hundredths of a degree, and mid-stance's is the mean of a tenth of a se
   on its forefoot slowly is flat no sooner than its heel has come down, to ``HEEL_DOWN_RAD`` below mid-stance's pitch;
 - *heel rise*: the last instant at which the foot has not yet turned toe-down by ``RISE_RAD`` from mid-stance.
 
-No paper; foot-flat by angle and rate after Mariani et al. (2013). ``benchmarks/offline_phases.py`` holds both against
-footswitches, and chooses the angles again without the walker that is judged.
+No paper; foot-flat by angle and rate after Mariani et al. (2013). ``benchmarks/accuracy/offline_phases.py`` holds both
+against footswitches, and chooses the angles again without the walker that is judged.
 """
 
 import math

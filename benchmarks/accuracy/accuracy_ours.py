@@ -1,0 +1,293 @@
+"""Our own rows of the accuracy table, from the same functions as the single benchmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy.accuracy_bars import (
+    BELT,
+    CLOSURE,
+    HEEL,
+    LENGTH_GIVEN,
+    LENGTH_OWN,
+    LIFT_ARM,
+    LIFT_GIVEN,
+    LIFT_OWN,
+    PATH,
+    PHASES,
+    SHANK_BELT,
+    STRIKE,
+    TOE,
+)
+from benchmarks.accuracy.accuracy_row import CAUSAL, OFFLINE, Row, row_of
+from benchmarks.accuracy.ankle import evaluate as evaluate_shanks
+from benchmarks.accuracy.clearance import marker_rows
+from benchmarks.accuracy.events import METHODS as EVENT_METHODS
+from benchmarks.accuracy.events import Score, holds, score, strike_angles, strike_score
+from benchmarks.accuracy.lift import clearance_errors
+from benchmarks.accuracy.orientation import orientation_rows as measure_orientation
+from benchmarks.accuracy.orientation_methods import METHODS as FILTERS
+from benchmarks.accuracy.stride_length import FUSED, METHODS, belt_ratios, strides_between, strides_of
+from benchmarks.accuracy.stroke_treadmill import evaluate as evaluate_feet
+from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, path_of
+from benchmarks.accuracy.zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
+from benchmarks.lib.event_cases import gaitmap_cases, stroke_tracks
+from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk
+from benchmarks.peers.cases import OUR_ENDS, Asked
+from benchmarks.peers.judge import f1_row, orientation_row, own_border_errors, strides_hit
+from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
+from fes.calibration.recording import calibrate_track
+from fes.estimation.zupt.detectors import Detector
+from fes.signals import StrideResult
+
+NAMES = {"maximum_likelihood": "fes maximum likelihood (default)", "constrained": "fes constrained (Negård)"}
+NAMES[FUSED] = "fes analyse (maximum likelihood and ZUPT)"
+KNOWN = {"maximum_likelihood": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
+ZUPT = {False: "fes ZUPT filter, forward", True: "fes ZUPT filter, smoothed"}
+LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
+
+
+def stride_rows(asked: list[Asked]) -> list[Row]:
+    """Length and lift of the strides that our phase machine finds, each known when it ends."""
+    rows = []
+    for method in METHODS:
+        walks = [(one, one.walk) for one in asked if one.walk is not None]
+        for data_set in dict.fromkeys(one.data_set for one, _ in walks):
+            errors, lifts, hit, swings = [], [], 0, 0
+            for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
+                track = walk.track
+                strides = strides_of(track, calibrate_track(track), method)
+                ends_s = np.array([(1e-9 * s.t_start_ns, 1e-9 * s.t_end_ns) for s in strides])
+                errors += own_border_errors(one, ends_s, np.array([s.stride_length_m for s in strides]))
+                lifts += [100.0 * (s.clearance_m - walk.true_clearance_m(s)) for s in strides]
+                hit, swings = hit + strides_hit(one.swings_s, ends_s), swings + len(one.swings_s)
+            rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], KNOWN[method], errors, hit / swings))
+            if np.isfinite(lifts).any() and method != FUSED:  # which takes heights as they are
+                rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], KNOWN[method], lifts, hit / swings))
+    return rows
+
+
+def given_rows(asked: list[Asked]) -> list[Row]:
+    """Length and lift by our stride integration between the references' borders, each moved to quiet within 50 ms."""
+    rows = []
+    walks = [(one, one.walk) for one in asked if one.walk is not None]
+    for method in METHODS:
+        for data_set in dict.fromkeys(one.data_set for one, _ in walks):
+            lengths, lifts = [], []
+            for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
+                for stride, known_m in zip(_between_borders(one, walk, method), one.length_m, strict=False):
+                    if stride.valid and np.isfinite(known_m):
+                        lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
+                        lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
+            for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
+                if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
+                    rows.append(
+                        row_of(
+                            data_set,
+                            quantity,
+                            "cm",
+                            NAMES[method],
+                            KNOWN[method],
+                            errors,
+                            _share(errors, asked, data_set),
+                        )
+                    )
+    return rows
+
+
+def _between_borders(one: Asked, walk: Walk, method: str) -> list[StrideResult]:
+    return strides_between(walk.track, one.case.borders / one.case.rate_hz, method)
+
+
+def _true_lift_m(walk: Walk, stride: StrideResult) -> float:
+    arm = walk if isinstance(walk, PathWalk) and walk.lever_m is not None else None
+    return walk.true_clearance_m(stride) if arm is None else arm.true_lift_m(stride)
+
+
+def _share(errors: list[float], asked: list[Asked], data_set: str) -> float:
+    wanted = sum(np.isfinite(one.length_m).sum() for one in asked if one.data_set == data_set)
+    return float(np.isfinite(errors).sum() / wanted)
+
+
+def arm_rows() -> list[Row]:
+    """Lift on pyshoe_vicon, whose marker is not at the sensor, through the arm that fits best."""
+    rows = []
+    for method in METHODS[:-1]:
+        for errors in clearance_errors(method, strides_of).values():
+            rows.append(row_of("pyshoe_vicon", LIFT_ARM, "cm", NAMES[method], KNOWN[method], 100.0 * np.array(errors)))
+    return rows
+
+
+def zupt_rows(folder: Path, asked: list[Asked]) -> list[Row]:
+    """Length between the references' borders by the filter that runs through the whole recording; the loop's gap."""
+    rows = []
+    groups: list[list[BorderedWalk]] = [walks for walks in (pyshoe(folder), ruler(folder), gaitmap(folder)) if walks]
+    loop = xio(folder)
+    for smoothed, known in ((False, CAUSAL), (True, OFFLINE)):
+        for walks in groups:
+            errors = []
+            of_set = (one for one in asked if one.walk is not None and one.data_set == walks[0].data_set)
+            for walk, one in zip(walks, of_set, strict=True):
+                lengths = path_of(walk.track, smoothed=smoothed).stride_lengths(walk.begin_ns, walk.end_ns)
+                errors += (100.0 * (lengths - one.length_m)).tolist()
+            rows.append(row_of(walks[0].data_set, LENGTH_GIVEN, "cm", ZUPT[smoothed], known, errors, 1.0))
+        if loop is not None:
+            rows.append(
+                row_of("xio_walk", CLOSURE, "m", ZUPT[smoothed], known, [evaluate_loop(loop, smoothed=smoothed).gap_m])
+            )
+    return rows
+
+
+def rest_rows(folder: Path) -> list[Row]:
+    """Detectors of rest against Vicon, thresholds from the standing second."""
+    walks = pyshoe(folder)
+    rows = []
+    for detector in Detector if walks else ():
+        for causal in (True, False):
+            r = evaluate_detector(detector, walks, use_standing=True, causal=causal)
+            known = CAUSAL if causal else OFFLINE
+            rows.append(f1_row("pyshoe_vicon", f"fes {r.detector}", known, len(walks), r.f1, r.recall, r.worst_f1))
+    return rows
+
+
+def stroke_rows(folder: Path) -> list[Row]:
+    """Speed of feet and shanks against the belt, phases in order, foot-strike angle."""
+    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
+    if not paths:
+        return []
+    data_set = "stroke_treadmill"
+    rows = [
+        row_of(data_set, BELT, "%", NAMES[method], KNOWN[method], 100.0 * (np.array(belt_ratios(method)) - 1.0))
+        for method in METHODS
+    ]
+    shanks = [shank for path in paths for shank in evaluate_shanks(path)]
+    for name, key in (("fes shank, arm learnt", "learnt"), ("fes shank, velocity to zero", "zupt")):
+        errors = [100.0 * (getattr(shank, key) - 1.0) for shank in shanks]
+        rows.append(row_of(data_set, SHANK_BELT, "%", name, CAUSAL, errors))
+    feet = [foot for path in paths for foot in evaluate_feet(path)]
+    shares = [foot.in_order / foot.strides for foot in feet]
+    strides = sum(foot.strides for foot in feet)
+    recall = sum(foot.in_order for foot in feet) / strides
+    false = 100.0 * sum(foot.false_swings for foot in feet) / strides
+    rows.append(
+        Row(
+            data_set, PHASES, "%", "fes phase machine", CAUSAL, n=strides, worst=100.0 * (1.0 - min(shares)),
+            recall=recall, bar="≥ 99.5 %, worst foot ≥ 97 %, false swings ≤ 0.1 in 100",
+            bar_met=recall >= LEAST_IN_ORDER and min(shares) >= LEAST_FOOT and false <= MOST_FALSE,
+            note=f"false swings per 100 strides: {false:.2f}; worst: the worst foot's share out of order",
+        )
+    )  # fmt: skip
+    angles = strike_angles(stroke_tracks(folder))
+    correlation, _, sd = strike_score(angles)
+    vicon, ours = np.array(list(angles.values())).T
+    row = row_of(data_set, STRIKE, "°", "fes off-line events", OFFLINE, ours - vicon)
+    met = correlation >= 0.96 and sd <= 2.0
+    bar, note = "correlation ≥ 0.96, SD ≤ 2.0°", f"correlation {correlation:.3f}"
+    rows.append(replace(row, bar=bar, bar_met=met, note=note))
+    return rows
+
+
+def event_rows(folder: Path) -> list[Row]:
+    """Initial contact and foot off against the markers' events; causal: the delay of the decision."""
+    if not (folder / "gaitmap_walk").is_dir():
+        return []
+    scores = [s for method in EVENT_METHODS for s in score("gaitmap_walk", gaitmap_cases(folder), method)]
+    return [_event_row(s) for s in scores]
+
+
+def _event_row(s: Score) -> Row:
+    offline = s.method == "off-line"
+    note = f"median {s.median_ms:+.0f}, 95 % {s.p95_ms:+.0f} ms; {s.extra} extra"
+    judged = offline or s.method == "causal, instants"
+    causal_bar = "median ≤ 20, 95 % ≤ 50 ms, none missed"
+    return Row(
+        s.data,
+        f"{s.event} time" if offline else f"{s.event} decision after the event",
+        "ms",
+        "fes events" if offline else f"fes {s.method.removeprefix('causal, ')}",
+        OFFLINE if offline else CAUSAL,
+        n=s.found,
+        bias=s.mean_ms,
+        sd=s.sd_ms,
+        rmse=float(np.sqrt(s.mean_ms**2 + s.sd_ms**2 * (s.found - 1) / s.found)),
+        worst=max(abs(s.least_ms), abs(s.most_ms)),
+        recall=s.recall,
+        bar=causal_bar if judged and not offline else "",
+        bar_met=holds(s) if judged and not offline else None,
+        note=note,
+    )
+
+
+def orientation_rows(folder: Path) -> list[Row]:
+    """Our orientation filter; others of the same benchmark run among the peers."""
+    rows = measure_orientation(folder, tuple(method for method in FILTERS if method.package == "fes"))
+    return [
+        orientation_row(
+            row.data_set,
+            f"fes orientation filter{'' if row.causal else ', smoothed'}",
+            CAUSAL if row.causal else OFFLINE,
+            list(row.trials.values()),
+        )
+        for row in rows
+    ]
+
+
+def clearance_rows(folder: Path) -> list[Row]:
+    """Toe and heel against markers, for every way to know where they are on the foot."""
+    rows = []
+    for r in marker_rows(folder):
+        method = f"fes, geometry {r.geometry}" + (", contact levels" if r.anchored else "")
+        for quantity, (mean_m, sd_m) in ((TOE, r.toe_m), (HEEL, r.heel_m)):
+            bias, sd = 100.0 * mean_m, 100.0 * sd_m
+            rows.append(
+                Row(
+                    "gaitmap_walk", quantity, "cm", method, OFFLINE if r.anchored else CAUSAL, n=r.strides,
+                    bias=bias, sd=sd, rmse=float(np.sqrt(bias**2 + sd**2 * (r.strides - 1) / r.strides)),
+                )
+            )  # fmt: skip
+    return rows
+
+
+def path_rows(folder: Path) -> list[Row]:
+    """The path of `fes analyse` against the heel's marker, each foot alone and both together."""
+    walks = [walk for walk in gaitmap_walk(folder) if isinstance(walk, PathWalk)]
+    if len(walks) != 2:
+        return []
+    alone = [ground_path(walk.track, calibrate_track(walk.track)) for walk in walks]
+    named = {"fes path, each foot alone": alone, "fes path, both feet together": list(without_relative_drift(*alone))}
+    rows = []
+    for method, paths in named.items():
+        rms_m = [_fitted_rms_m(walk, path) for walk, path in zip(walks, paths, strict=True)]
+        mean, worst = float(np.mean(rms_m)), max(rms_m)
+        rows.append(Row("gaitmap_walk", PATH, "m", method, OFFLINE, n=2, rmse=mean, worst=worst, note="of two feet"))
+    return rows
+
+
+def _fitted_rms_m(walk: PathWalk, path: GroundPath) -> float:
+    """Horizontal distance of path and marker, root mean square, after the best shift and turn."""
+    t_ns = path.t_ns[0] + np.round(np.arange(len(walk.position_m)) * 1e9 / walk.rate_hz).astype(np.int64)
+    known = np.isfinite(walk.position_m).all(axis=1) & (t_ns <= path.t_ns[-1])
+    true, found = walk.position_m[known, :2], path.places_at(t_ns[known])[:, :2]
+    true, found = ((xy - xy.mean(axis=0)) @ np.array([1.0, 1.0j]) for xy in (true, found))
+    turn = np.vdot(found, true)
+    return float(np.sqrt(np.mean(np.abs(found * turn / abs(turn) - true) ** 2)))
+
+
+def our_rows(folder: Path, asked: list[Asked]) -> list[Row]:
+    """All of them; what is put to peers alone is left out."""
+    asked = [one for one in asked if OUR_ENDS not in one.case.tasks]
+    return [
+        *stride_rows(asked),
+        *given_rows(asked),
+        *arm_rows(),
+        *zupt_rows(folder, asked),
+        *rest_rows(folder),
+        *stroke_rows(folder),
+        *event_rows(folder),
+        *orientation_rows(folder),
+        *clearance_rows(folder),
+        *path_rows(folder),
+    ]

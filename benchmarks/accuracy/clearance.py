@@ -1,0 +1,248 @@
+"""Toe and heel clearance against optical markers, and against the truth of the bundled trials.
+
+    python benchmarks/accuracy/clearance.py [--json FILE]
+
+gaitmap_walk: the markers on toe and heel, each above its own height at the start of the stride; minimum toe clearance
+and greatest heel height are taken from them by the same definitions (fes.estimation.clearance.clearance). The geometry
+is either
+
+- given: where the markers sit on the standing foot, and where the sensor sits among them. Nobody noted the latter, so
+  it is read off once per foot from accelerations (marker − sensor, low-passed at 6 Hz, in swing), not from any height;
+- given without the sideways part, as a session without it would;
+- estimated from the IMU alone. It knows the sole, and the markers sit above it: so its points are lifted by the height
+  above the floor at which the markers stand, to compare the same points. That is all that is taken from the markers.
+
+Each without and with the contact levels of the recording. Bar: mean within 0.3 cm, SD within 0.6 cm.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+from scipy.signal import butter, filtfilt
+
+from benchmarks.accuracy.bundled_trials import NAMES, TRIALS
+from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.real_sets import STRAIGHT_RAD, _two_header_lines, gaitmap_walk
+from fes.calibration.recording import calibrate_track
+from fes.estimation.clearance.clearance import (
+    HEEL,
+    TOE,
+    FootArms,
+    FootPath,
+    arms_of,
+    clearances,
+    contact_heights,
+    contact_levels,
+    mid_swing,
+)
+from fes.estimation.clearance.geometry import estimate_geometry
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.recording import Track, read_recording
+from fes.signals import NS_PER_S, FloatArray, StrideResult
+from fes.simulation.truth import load_truth
+
+MARKER_HZ = 100.0
+GRID_HZ = 200.0
+LOW_PASS_HZ = 6.0
+BAR_M = (0.003, 0.006)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one geometry (m), estimate − truth: mean and SD of toe and heel clearance."""
+
+    data: str
+    geometry: str
+    anchored: bool
+    strides: int
+    toe_m: tuple[float, float]
+    heel_m: tuple[float, float]
+
+    @property
+    def holds(self) -> bool:
+        """Whether toe and heel meet the bar."""
+        return all(abs(mean) <= BAR_M[0] and sd <= BAR_M[1] for mean, sd in (self.toe_m, self.heel_m))
+
+
+@dataclass(frozen=True)
+class MarkedStride:
+    """A stride and where the markers were meanwhile, (N, 3) in m, turned to the stride's heading, z above the floor."""
+
+    path: FootPath
+    straight: bool
+    toe_m: FloatArray
+    heel_m: FloatArray
+
+    def truth(self) -> tuple[float, float]:
+        """Minimum toe clearance and greatest heel height of the markers (m)."""
+        begin, end = np.searchsorted(self.path.t_ns[:-1], (self.path.foot_off_ns or 0, self.path.contact_ns or 0))
+        toe, heel = self.toe_m[:, 2] - self.toe_m[0, 2], self.heel_m[:, 2] - self.heel_m[0, 2]
+        swing = slice(begin, end + 1)
+        lowest, _ = mid_swing(self.path.t_ns[swing], toe[swing], self.toe_m[swing, :2])
+        return float(toe[swing][lowest]), float(heel.max())
+
+
+def walked(track: Track) -> tuple[list[StrideResult], list[FootPath]]:
+    """The valid strides of one foot and their paths."""
+    calibration = calibrate_track(track)
+    paths: list[FootPath] = []
+    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), watch=paths.append)
+    tracker = FootTracker(calibration, StrideMaker(track.sensor, settings))
+    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    return [each for each in outcomes if isinstance(each, StrideResult) and each.valid], paths
+
+
+@cache
+def marked_strides(folder: Path) -> dict[str, list[MarkedStride]]:
+    """Side → strides of the walk with markers; empty where it is absent."""
+    found: dict[str, list[MarkedStride]] = {}
+    for walk in gaitmap_walk(folder):
+        columns = _two_header_lines(folder / "gaitmap_walk" / "mocap_sample.csv")
+        place = {
+            name: np.column_stack([columns[f"{walk.name[0].upper()}_{name}", axis] for axis in "xyz"]) / 1000.0
+            for name in ("TOE", "FCC")
+        }
+        seconds = np.arange(len(place["TOE"])) / MARKER_HZ
+        found[walk.name] = []
+        for stride, path in zip(*walked(walk.track), strict=True):
+            toe, heel = (
+                np.column_stack([np.interp(path.t_ns / NS_PER_S, seconds, place[name][:, k]) for k in range(3)])
+                for name in ("TOE", "FCC")
+            )
+            # nothing tells the sensor where the laboratory's x points: the heel's way is turned to the sensor's
+            (x, y), (u, v) = (heel[-1] - heel[0])[:2], path.position_m[-1, :2]
+            angle = np.arctan2(v, u) - np.arctan2(y, x)
+            turn = np.array(
+                [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+            )
+            straight = abs(stride.turn_rad) <= STRAIGHT_RAD
+            found[walk.name].append(MarkedStride(path, straight, toe @ turn.T, heel @ turn.T))
+    return found
+
+
+def given_arms(strides: list[MarkedStride]) -> FootArms:
+    """Sensor to markers: the heel's by accelerations, the toe's from there by the standing markers."""
+    turned, moved, between = [], [], []
+    for stride in (each for each in strides if each.straight):
+        path = stride.path
+        between.append(path.axes[0].T @ (stride.toe_m[0] - stride.heel_m[0]))
+        t_s = path.t_ns / NS_PER_S
+        grid = np.arange(t_s[0], t_s[-1], 1.0 / GRID_HZ)
+        columns = np.column_stack((stride.heel_m - path.position_m, path.axes.reshape(-1, 9)))
+        even = np.column_stack([np.interp(grid, t_s, column) for column in columns.T])
+        smooth = filtfilt(*butter(2, 2.0 * LOW_PASS_HZ / GRID_HZ), even, axis=0, padlen=50)
+        second = np.gradient(np.gradient(smooth, axis=0), axis=0)
+        swing = (grid * NS_PER_S > path.foot_off_ns) & (grid * NS_PER_S < path.contact_ns)
+        moved.append(second[swing, :3].ravel())
+        turned.append(second[swing, 3:].reshape(-1, 3))
+    heel = np.linalg.lstsq(np.vstack(turned), np.concatenate(moved), rcond=None)[0]
+    toe = heel + np.median(between, axis=0)
+    return FootArms((toe[0], toe[1], toe[2]), (heel[0], heel[1], heel[2]))
+
+
+def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
+    """What the module's text says, by name."""
+    given = given_arms(strides)
+    sole = arms_of(estimate_geometry([stride.path for stride in strides]).geometry)
+    toe_up, heel_up = (float(np.median([each[0, 2] for each in tracks])) for tracks in _tracks(strides))
+    return {
+        "given": given,
+        "given, not sideways": FootArms((given.toe_m[0], 0.0, given.toe_m[2]), (given.heel_m[0], 0.0, given.heel_m[2])),
+        "estimated": FootArms(
+            (sole.toe_m[0], 0.0, sole.toe_m[2] + toe_up), (sole.heel_m[0], 0.0, sole.heel_m[2] + heel_up)
+        ),
+    }
+
+
+def _tracks(strides: list[MarkedStride]) -> tuple[list[FloatArray], list[FloatArray]]:
+    return [stride.toe_m for stride in strides], [stride.heel_m for stride in strides]
+
+
+def marker_rows(folder: Path) -> Iterator[Row]:
+    """The walk with markers, both feet together, straight strides."""
+    sides = marked_strides(folder)
+    names = ("given", "given, not sideways", "estimated") if sides else ()
+    for name in names:
+        for anchored in (False, True):
+            errors = []
+            for strides in sides.values():
+                arms = arms_by_geometry(strides)[name]
+                levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
+                for stride in strides:
+                    if stride.straight:
+                        found = clearances([stride.path], arms, levels)[0, [TOE, HEEL]]
+                        errors.append(np.subtract(found, stride.truth()))
+            yield _row("gaitmap_walk, markers", name, anchored, errors)
+
+
+def trial_rows() -> Iterator[Row]:
+    """The bundled trials, all feet together, steady strides."""
+    for name in ("given", "estimated"):
+        for anchored in (False, True):
+            errors = []
+            for trial in NAMES:
+                errors += _trial_errors(trial, estimated=name == "estimated", anchored=anchored)
+            yield _row("bundled trials", name, anchored, errors)
+
+
+def _trial_errors(trial: str, *, estimated: bool, anchored: bool) -> list[FloatArray]:
+    truth = load_truth(TRIALS / f"{trial}.parquet")
+    errors = []
+    for foot, geometry, paths in trial_paths(trial):
+        arms = arms_of(estimate_geometry(paths).geometry) if estimated else geometry
+        levels = contact_levels(contact_heights(paths, arms)) if anchored else None
+        for true in (each for each in truth.strides_of(foot) if each.steady and each.walking):
+            path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
+            if path is not None:
+                found = clearances([path], arms, levels)[0, [TOE, HEEL]]
+                errors.append(np.subtract(found, (true.toe_clearance_m, true.heel_clearance_m)))
+    return errors
+
+
+@cache
+def trial_paths(trial: str) -> list[tuple[str, FootArms, list[FootPath]]]:
+    """Foot, its true arms and its strides' paths, of a bundled trial."""
+    recording = read_recording(TRIALS / f"{trial}.parquet")
+    return [
+        (foot, arms_of(geometry), walked(recording.tracks[foot])[1]) for foot, geometry in recording.geometry.items()
+    ]
+
+
+def _row(data: str, geometry: str, anchored: bool, errors: list[FloatArray]) -> Row:
+    mean, sd = np.mean(errors, axis=0), np.std(errors, axis=0, ddof=1)
+    toe, heel = ((float(mean[k]), float(sd[k])) for k in range(2))
+    return Row(data, geometry, anchored, len(errors), toe, heel)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; 3 without the recordings with markers."""
+    options = parser_of(__doc__).parse_args(arguments)
+    rows = [*trial_rows(), *marker_rows(data_folder())]
+    table = Table("data", "geometry", "contact levels", "strides", "toe cm", "heel cm", "bar")
+    for row in rows:
+        cells = [f"{100.0 * mean:+.2f} ± {100.0 * sd:.2f}" for mean, sd in (row.toe_m, row.heel_m)]
+        kept = "yes" if row.holds else "no"
+        table.add_row(row.data, row.geometry, "yes" if row.anchored else "no", str(row.strides), *cells, kept)
+    arms_told = []
+    for side, strides in marked_strides(data_folder()).items():
+        for name, arms in arms_by_geometry(strides).items():
+            toe, heel = (" ".join(f"{100.0 * part:+.1f}" for part in arm) for arm in (arms.toe_m, arms.heel_m))
+            arms_told.append(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
+    publish(console_of(120), [table], options, arms_told, folder=data_folder())
+    if not marked_strides(data_folder()):
+        print(f"No gaitmap_walk in {data_folder()}; set FES_DATA.", file=sys.stderr)
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

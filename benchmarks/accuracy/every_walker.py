@@ -1,0 +1,567 @@
+"""Phases, strides and events of every walker there is, by one default setting, against a judge of its own.
+
+    python benchmarks/accuracy/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER]
+        [--json FILE] [--raw FILE]
+
+All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``fes/analysis/swings.py``,
+from the raw signals; on footswitch_treadmill by the labels, and a swing that these lack and the raw signals show may
+be there too: a dragged foot keeps a switch closed. What is judged is what users get: calibration from the recording
+itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
+
+Per foot: strides with the four phases in order; false swings per 100; swings answered by a stride with a length, and
+those for which a stride says why it has none; speed over the belt's (last 120 s; length over the time from the end of
+the stride before to its own, so whole cycles); error of stride length ("fast": the cycle lasts less than 0.9 s);
+events of ``fes analyse`` per swing; foot-strike angle against Vicon's mean; and the share of strides whose phases are
+the same when the sensor is calibrated on 20 s elsewhere (three places). Footswitches: how much later than the label
+each of T1–T4 is, how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), and how
+much of its loading lies in the machine's stance or pre-swing (left without stimulation), where neither spike nor stall
+nor burst is near. A refused foot has no stride in order, in every table. ``--raw`` keeps everything, so that two
+versions can be compared.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.accuracy.ankle import load_shanks
+from benchmarks.accuracy.stroke_treadmill import LAST_S, data_folder, load_run, track_of
+from benchmarks.lib.command_line import console_of, parser_of, publish, save
+from benchmarks.lib.event_cases import gaitmap_cases
+from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk, marker_strides, pyshoe_vicon, ruler_walks
+from benchmarks.lib.swing_judge import (
+    IN_ORDER,
+    Labelled,
+    answered,
+    fired_by_stride,
+    in_order,
+    labelled,
+    pairs,
+    score,
+    swing_phases,
+)
+from fes.analysis.pipeline import analyse
+from fes.analysis.swings import Swings, find_swings
+from fes.calibration.recording import calibrate_shank_track, calibrate_track
+from fes.estimation.events.offline import foot_strike_angles
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import Calibration, stride_settings
+from fes.estimation.shank.tracker import ShankTracker
+from fes.estimation.strides.results import StrideMaker
+from fes.recording import Recording, Track
+from fes.recording.tracks import TrackQuality, increasing, newer_samples
+from fes.signals import StrideResult
+from statemachine.phases import PhaseChange, Transition
+
+SETS = (
+    "stroke_treadmill", "shanks", "pyshoe_vicon", "ruler_walks", "gaitmap_walk", "footswitch_treadmill", "stroke_walks"
+)  # fmt: skip
+FAST_S = 0.9
+CONTACTS = 50  # of a side, that Vicon's mean is over
+ELSEWHERE_S, ELSEWHERE = 20.0, (0.25, 0.5, 0.75)
+NEXT_S = 0.5  # a stride that begins this soon after the last one's end goes on where that ended
+LYING, DRIFTING = ("P06",), ("P07_1", "H04_2")  # sensor, labels
+SHORT_FLAT = ("H03",)  # T4 cannot be judged
+TIMES = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
+COSTS = ("flat_ms", "loading_left_ms")  # of a stride, by a channel from T1 to T4
+SPIKE_MPS2, SPIKE_RADPS = 400.0, 40.0
+
+
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """One sensor of one walk. ``judge`` is the track that swings are counted by, its own unless it is a shank's."""
+
+    data_set: str
+    part: str
+    person: str
+    run: str
+    track: Track
+    judge: Track | None = None
+    walk: Walk | None = None
+    belt_mps: float = float("nan")
+    strike_deg: float = float("nan")
+    labels: Labelled | None = None
+    ic_s: Any = None
+    fo_s: Any = None
+
+
+@dataclass
+class Found:
+    """What was made of it; lists are per stride, ``later_ms`` by transition."""
+
+    data_set: str
+    part: str
+    person: str
+    run: str
+    sensor: str
+    refused: str = ""
+    strides: int = 0
+    in_order: int = 0
+    swings: int = 0
+    false_swings: int = 0
+    answered: int = 0
+    explained: int = 0
+    speed_causal: float = float("nan")
+    speed_offline: float = float("nan")
+    fast: int = 0  # swings of cycles that last less than FAST_S, …
+    fast_answered: int = 0  # … and those of them with a length
+    length_cm: list[float] = field(default_factory=list)
+    length_fast: list[bool] = field(default_factory=list)
+    length_causal_cm: list[float] = field(default_factory=list)
+    length_causal_fast: list[bool] = field(default_factory=list)
+    events: int = 0
+    strike_deg: list[float] = field(default_factory=list)
+    vicon_deg: float = float("nan")
+    elsewhere: int = 0
+    elsewhere_same: int = 0
+    later_ms: dict[str, list[float]] = field(default_factory=dict)
+    flat_ms: list[float] = field(default_factory=list)
+    loading_left_ms: list[float] = field(default_factory=list)
+    by_labels_alone: int = 0
+
+    @property
+    def share(self) -> float:
+        """Strides in order, %."""
+        return 100.0 * self.in_order / self.strides if self.strides else float("nan")
+
+
+# --- what there is to walk through ------------------------------------------------------------------------------------
+
+
+def stamped(
+    sensor: str,
+    rate_hz: float,
+    t_s: Any,
+    acc: Any,
+    gyr: Any,
+    acc_range: float | None = None,
+    gyr_range: float | None = None,
+) -> Track:
+    """A track of what a file holds, without rows that no sensor can have measured (spikes), by its own stamps."""
+    sound = (np.abs(acc).max(axis=1) < SPIKE_MPS2) & (np.abs(gyr).max(axis=1) < SPIKE_RADPS)
+    t_ns = np.round(1e9 * (t_s[sound] - t_s[0])).astype(np.int64)
+    acc, gyr = (np.ascontiguousarray(values[sound], dtype=float) for values in (acc, gyr))
+    return Track(
+        sensor, rate_hz, np.maximum.accumulate(t_ns), t_ns, acc, gyr,
+        acc_range, gyr_range, TrackQuality(samples=len(t_ns)),
+    )  # fmt: skip
+
+
+def stroke_treadmill(folder: Path, part: str) -> Iterator[Foot]:
+    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+        strike_deg = float(np.load(path)["fsa_mean_deg"])
+        tracks, belt_mps = load_run(path)
+        for track in tracks.values():
+            yield Foot(
+                "stroke_treadmill", part, path.stem[:4], path.stem, track, belt_mps=belt_mps, strike_deg=strike_deg
+            )
+
+
+def shanks(folder: Path, part: str) -> Iterator[Foot]:
+    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+        feet, belt_mps = load_run(path)
+        found, rate_hz, _ = load_shanks(path)
+        for sensor, (acc, gyr) in found.items():
+            track, foot = track_of(sensor, rate_hz, acc, gyr), feet[sensor.replace("shank", "foot")]
+            yield Foot("shanks", part, path.stem[:4], path.stem, track, foot, belt_mps=belt_mps)
+
+
+def measured_walks(walks: Iterable[Walk], part: str, person: Callable[[str], str]) -> Iterator[Foot]:
+    for walk in walks:
+        yield Foot(walk.data_set, part, person(walk.name), walk.name, walk.track, walk=walk)
+
+
+def gaitmap(folder: Path, part: str) -> Iterator[Foot]:
+    if (folder / "gaitmap_walk" / "mocap_sample.csv").is_file():
+        for walk, case in zip(gaitmap_walk(folder), gaitmap_cases(folder), strict=True):
+            yield Foot("gaitmap_walk", part, "adult", walk.name, walk.track, walk=walk, ic_s=case.ic_s, fo_s=case.fo_s)
+
+
+def footswitch_treadmill(folder: Path, part: str) -> Iterator[Foot]:
+    for path in sorted((folder / "footswitch_treadmill").glob("*.npz")):
+        data = np.load(path)
+        meta, t_s = json.loads(str(data["meta"])), data["foot_t_s"]
+        track = stamped("right_foot", meta["rate_hz_mean"], t_s, data["foot_acc"], data["foot_gyr"])
+        labels = labelled(np.round(1e9 * (t_s - t_s[0])).astype(np.int64), data["label"], data["bad"])
+        yield Foot("footswitch_treadmill", part, meta["person"], path.stem, track, labels=labels)
+
+
+def stroke_walks(folder: Path, part: str) -> Iterator[Foot]:
+    for path in sorted((folder / "stroke_walks").glob("*.npz")):
+        data = np.load(path)
+        meta = json.loads(str(data["meta"]))
+        ranges = 9.80665 * meta["acc_range_g"], float(np.radians(meta["gyr_range_degps"]))
+        for side in ("left", "right"):
+            acc, gyr = (data[f"{side}_{kind}"] for kind in ("acc", "gyr"))
+            track = stamped(f"{side}_foot", meta["rate_hz"], data[f"{side}_t_s"], acc, gyr, *ranges)
+            yield Foot("stroke_walks", f"{part}, {meta['group']}", path.stem, path.stem, before_the_jump(track))
+
+
+def before_the_jump(track: Track) -> Track:
+    """Without a late block whose clock has gone back."""
+    back = np.flatnonzero(~increasing(track))
+    return track.part(slice(0, int(back[0]))) if len(back) and back[0] > 0.9 * len(track.t_ns) else track
+
+
+def feet_of(data: Path, wanted: Iterable[str]) -> Iterator[Foot]:
+    """All feet of these sets, known and unseen."""
+    readers: dict[str, Callable[[Path, str], Iterator[Foot]]] = {
+        "stroke_treadmill": stroke_treadmill,
+        "shanks": shanks,
+        "pyshoe_vicon": lambda folder, part: measured_walks(pyshoe_vicon(folder), part, lambda name: name[:10]),
+        "ruler_walks": lambda folder, part: measured_walks(ruler_walks(folder), part, lambda name: name.split("_")[1]),
+        "gaitmap_walk": gaitmap,
+        "footswitch_treadmill": footswitch_treadmill,
+        "stroke_walks": stroke_walks,
+    }
+    for name in wanted:
+        for folder, part in ((data, "known"), (data / "unseen_walkers", "unseen")):
+            yield from readers[name](folder, part)
+
+
+# --- one foot ---------------------------------------------------------------------------------------------------------
+
+
+def calibrate(track: Track) -> Calibration:
+    """As ``fes calibrate`` does."""
+    return calibrate_shank_track(track) if track.sensor.endswith("shank") else calibrate_track(track)
+
+
+def causal(track: Track, calibration: Calibration) -> tuple[list[PhaseChange], list[StrideResult]]:
+    """Phase changes and strides as they come live."""
+    if isinstance(calibration, FootCalibration):
+        tracker: Any = FootTracker(calibration, StrideMaker(track.sensor, stride_settings(calibration)))
+    else:
+        tracker = ShankTracker(calibration)
+    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    changes = [outcome for outcome in outcomes if isinstance(outcome, PhaseChange)]
+    return changes, [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
+
+
+def speed_mps(strides: list[StrideResult], since_ns: float) -> float:
+    """Length over time of whole cycles: from the end of the stride before to the stride's own."""
+    length = time = 0.0
+    for before, stride in pairwise(strides):
+        gap_ns = stride.t_start_ns - before.t_end_ns
+        if stride.valid and before.t_end_ns >= since_ns and gap_ns <= 1e9 * NEXT_S:
+            length, time = length + stride.stride_length_m, time + 1e-9 * (stride.t_end_ns - before.t_end_ns)
+    return length / time if time else float("nan")
+
+
+def cycle_s(swings: Swings, stride: StrideResult) -> float:
+    """The time from this stride's mid-swing to the one before or after, the shorter of both."""
+    inside = np.flatnonzero((swings.sure >= stride.t_start_ns) & (swings.sure <= stride.t_end_ns))
+    if not len(inside):
+        return 1e-9 * (stride.t_end_ns - stride.t_start_ns)
+    near = np.diff(swings.sure[max(inside[0] - 1, 0) : inside[0] + 2])
+    return 1e-9 * float(near.min()) if len(near) else float("inf")
+
+
+def cycles_s(swings: Swings) -> list[float]:
+    """The time from each whole swing to the one before or after, the shorter of both."""
+    gaps_s = np.append(1e-9 * np.diff(swings.sure), np.inf)
+    at = np.searchsorted(swings.sure, swings.whole())
+    return [float(gap_s) for gap_s in np.minimum(gaps_s[at], gaps_s[at - 1])]
+
+
+def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -> tuple[list[float], list[bool]]:
+    """Errors of length (cm) of the strides that the reference can judge, and whether each was fast."""
+    judged = [(s, walk.true_length_m(s)) for s in strides if s.valid and walk.comparable(s)]
+    judged = [(s, true_m) for s, true_m in judged if np.isfinite(true_m)]
+    errors = [100.0 * (s.stride_length_m - true_m) for s, true_m in judged]
+    return errors, [cycle_s(swings, s) < FAST_S for s, _ in judged]
+
+
+def swings_of(foot: Foot) -> Swings:
+    """What this foot's phases are held against."""
+    by = foot.judge or foot.track
+    seen = find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
+    return seen if foot.labels is None else foot.labels.swings(seen)
+
+
+def judge(foot: Foot) -> Found:
+    """Everything about one foot."""
+    found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
+    track, swings = foot.track, swings_of(foot)
+    found.swings, found.strides = len(swings.whole()), len(pairs(swings))
+    if foot.labels is not None:
+        judged = [foot.labels.judged(*pair) for pair in pairs(swings)]
+        found.strides = sum(judged)
+    try:
+        calibration = calibrate(track)
+    except CalibrationError as error:
+        found.refused = str(error)
+        found.elsewhere = len(ELSEWHERE) * len(pairs(swings)) if track.duration_s > 2.0 * ELSEWHERE_S else 0
+        return found
+    changes, strides = causal(track, calibration)
+    counts = score(swings, changes, strides)
+    found.false_swings, found.answered, found.explained = counts.false_swings, counts.answered, counts.explained
+    found.in_order = counts.in_order
+    fast = [at for at, around_s in zip(swings.whole().tolist(), cycles_s(swings), strict=True) if around_s < FAST_S]
+    found.fast, found.fast_answered = len(fast), sum(answered(strides, at) for at in fast)
+    if foot.labels is not None:
+        against_labels(found, foot.labels, swings, changes)
+    recording = Recording(foot.run, None, {track.sensor: track}, belt_speed_mps=None)
+    result = analyse(recording, {track.sensor: calibration})
+    offline = [stride for stride in result.strides if stride.foot == track.sensor]
+    if np.isfinite(foot.belt_mps):
+        since_ns = track.t_ns[-1] - LAST_S * 1e9
+        found.speed_causal = speed_mps(strides, since_ns) / foot.belt_mps
+        found.speed_offline = speed_mps(offline, since_ns) / foot.belt_mps
+    if foot.walk is not None:
+        found.length_cm, found.length_fast = length_errors(foot.walk, swings, offline)
+        found.length_causal_cm, found.length_causal_fast = length_errors(foot.walk, swings, strides)
+    if isinstance(calibration, FootCalibration):
+        events = result.events[track.sensor]
+        found.events = len(events.ic_ns)
+        if np.isfinite(foot.strike_deg):
+            t_ns, _, gyr = newer_samples(track)
+            angle = foot_strike_angles(t_ns, gyr, events, calibration)
+            found.vicon_deg = foot.strike_deg
+            found.strike_deg = np.degrees(angle[np.isfinite(angle)][:CONTACTS]).tolist()
+    if foot.ic_s is not None:
+        against_markers(found, foot, changes)
+    if track.duration_s > 2.0 * ELSEWHERE_S:
+        calibrated_elsewhere(found, foot, swings, changes)
+    return found
+
+
+def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list[PhaseChange]) -> None:
+    """Order, delays and stimulated flat foot, of the strides that the labels can judge."""
+    found.in_order = 0
+    later: dict[str, list[float]] = defaultdict(list)
+    for (begin, end), fired, ordered in zip(
+        pairs(swings), fired_by_stride(swings, changes), in_order(swings, changes), strict=True
+    ):
+        if not labels.judged(begin, end):
+            continue
+        found.in_order += ordered
+        found.by_labels_alone += fired == IN_ORDER
+        flat_s, loading_s = labels.flat_and_loading_s(changes, begin, end)
+        found.flat_ms.append(1e3 * flat_s)
+        found.loading_left_ms.append(1e3 * loading_s)
+        if fired == IN_ORDER:
+            true = labels.times(begin, end)
+            for change in changes:
+                if begin <= change.t_ns < end and change.transition in true:
+                    later[change.transition.name].append(1e-6 * (change.t_ns - true[change.transition]))
+    found.later_ms = dict(later)
+    found.false_swings = sum(
+        not ((swings.possible >= a) & (swings.possible <= b)).any() and labels.judged(a, b)
+        for a, b in swing_phases(changes)
+    )
+
+
+def against_markers(found: Found, foot: Foot, changes: list[PhaseChange]) -> None:
+    """How much later than the markers' T1 to T4 each is; heel rise by the simulated truth's 5 mm, flat by its 2°."""
+    assert isinstance(foot.walk, PathWalk)
+    strides = list(marker_strides(foot.walk, np.sort(foot.ic_s), np.sort(foot.fo_s)))
+    rise_s, flat_s = ([s[key] for s in strides if key in s] for key in ("t_pre_swing_s", "t_stance_s"))
+    for name, known_s in (("T1", rise_s), ("T2", foot.fo_s), ("T3", foot.ic_s), ("T4", flat_s)):
+        times = np.array([1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name])
+        nearest = [times[np.argmin(np.abs(times - t))] - t for t in known_s] if len(times) else []
+        found.later_ms[name] = [1e3 * float(d) for d in nearest if abs(d) < 0.25]
+
+
+def calibrated_elsewhere(found: Found, foot: Foot, swings: Swings, changes: list[PhaseChange]) -> None:
+    """How many strides have the same phases when 20 s somewhere else in the recording are what is known."""
+    usual, track = fired_by_stride(swings, changes), foot.track
+    for place in ELSEWHERE:
+        begin_ns = track.t_ns[0] + round(place * 1e9 * (track.duration_s - ELSEWHERE_S))
+        first, last = np.searchsorted(track.t_ns, (begin_ns, begin_ns + round(1e9 * ELSEWHERE_S)))
+        found.elsewhere += len(usual)
+        try:
+            other, _ = causal(track, calibrate(track.part(slice(first, last))))
+        except (CalibrationError, ValueError):
+            continue
+        fired = fired_by_stride(swings, other)
+        found.elsewhere_same += sum(a == b for a, b in zip(usual, fired, strict=True))
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def percent(part: float, whole: float) -> str:
+    return f"{100.0 * part / whole:.2f}" if whole else "–"
+
+
+def rms(values: Iterable[float]) -> str:
+    squares = np.array(list(values)) ** 2
+    return f"{np.sqrt(squares.mean()):.2f} ({len(squares)})" if len(squares) else "–"
+
+
+def groups_of(found: list[Found]) -> dict[str, list[Found]]:
+    """By set and part; footswitches by health, without what the set itself disputes, which is shown apart."""
+    groups: dict[str, list[Found]] = defaultdict(list)
+    for one in found:
+        name = f"{one.data_set}, {one.part}"
+        if one.data_set == "footswitch_treadmill":
+            name = f"footswitch, {'healthy' if one.person.startswith('H') else 'hemiparetic'}"
+            if one.person in LYING or one.run in DRIFTING:
+                name = "footswitch, sensor lies or labels drift"
+        groups[name].append(one)
+    return groups
+
+
+def phases_table(groups: dict[str, list[Found]]) -> Table:
+    table = Table(
+        "set", "feet", "refused", "strides", "in order %", "worst foot", "false /100", "answered %", "or why %",
+        "elsewhere same %", "events / swing, worst",
+        title="phases and strides, causal; events off-line",
+    )  # fmt: skip
+    for name, feet in groups.items():
+        strides, swings = sum(f.strides for f in feet), sum(f.swings for f in feet)
+        worst = min((f for f in feet if f.strides), key=lambda f: f.share)
+        with_events = [f for f in feet if f.events and f.swings]
+        ratios = [f.events / f.swings for f in with_events]
+        most = f", {max(ratios):.2f} {with_events[int(np.argmax(ratios))].run}" if ratios else ""
+        mean = f"{sum(f.events for f in with_events) / sum(f.swings for f in with_events):.3f}" if ratios else "–"
+        table.add_row(
+            name, str(len(feet)), str(sum(bool(f.refused) for f in feet)), str(strides),
+            percent(sum(f.in_order for f in feet), strides), f"{worst.share:.1f} {worst.run} {worst.sensor}",
+            percent(sum(f.false_swings for f in feet), swings), percent(sum(f.answered for f in feet), swings),
+            percent(sum(f.explained for f in feet), swings),
+            percent(sum(f.elsewhere_same for f in feet), sum(f.elsewhere for f in feet)), mean + most,
+        )  # fmt: skip
+    return table
+
+
+def lengths_table(groups: dict[str, list[Found]]) -> Table:
+    table = Table(
+        "set", "speed / belt off-line", "worst", "causal", "worst", "length RMSE cm, walk off-line", "fast",
+        "walk causal", "fast", "answered fast %",
+        title="lengths: number of strides in brackets",
+    )  # fmt: skip
+    for name, feet in groups.items():
+        cells = []
+        for kind in ("speed_offline", "speed_causal"):
+            ratios = np.array([getattr(f, kind) for f in feet if np.isfinite(getattr(f, kind))])
+            far = ratios[np.argmax(np.abs(ratios - 1.0))] if len(ratios) else 0.0
+            cells += [f"{ratios.mean():.4f} ± {ratios.std(ddof=1):.4f}", f"{far:.3f}"] if len(ratios) > 1 else ["–"] * 2
+        for kind in ("length", "length_causal"):
+            for fast in (False, True):
+                rows = [(getattr(f, f"{kind}_cm"), getattr(f, f"{kind}_fast")) for f in feet]
+                cells.append(
+                    rms(e for errors, flags in rows for e, flag in zip(errors, flags, strict=True) if flag is fast)
+                )
+        told = percent(sum(f.fast_answered for f in feet), sum(f.fast for f in feet))
+        cells.append(told if feet[0].data_set in ("pyshoe_vicon", "ruler_walks") else "–")
+        if any(cell != "–" for cell in cells):
+            table.add_row(name, *cells)
+    return table
+
+
+def delays_table(found: list[Found]) -> Table:
+    table = Table(
+        "walker", "in order %", "T1 ms", "T2 ms", "T3 ms", "T4 ms", "flat foot stimulated, median ms", "95 % ms",
+        "loading left without stimulation, median ms", "95 % ms",
+        title="footswitches (gaitmap: markers): later than the label, median ± SD",
+    )  # fmt: skip
+    people: dict[str, list[Found]] = defaultdict(list)
+    for one in found:
+        if one.data_set in ("footswitch_treadmill", "gaitmap_walk"):
+            people[one.person].append(one)
+    for person, trials in people.items():
+        table.add_row(*delay_cells(person, [t for t in trials if t.run not in DRIFTING]))
+    sound = [t for t in found if t.data_set == "footswitch_treadmill"]
+    sound = [t for t in sound if t.person not in LYING and t.run not in DRIFTING]
+    for name in ("healthy", "hemiparetic"):
+        own = [t for t in sound if t.person.startswith("H") is (name == "healthy")]
+        if own:
+            table.add_row(*delay_cells(f"{name}, every stride", own))
+    return table
+
+
+def delay_cells(name: str, trials: list[Found]) -> list[str]:
+    """A row of the delays: some trials together, without what the set itself disputes."""
+    cells = [name, percent(sum(t.in_order for t in trials), sum(t.strides for t in trials))]
+    for each in TIMES:
+        judged = [t for t in trials if t.person not in SHORT_FLAT or each is not Transition.T4]
+        values = [ms for t in judged for ms in t.later_ms.get(each.name, [])]
+        cells.append(f"{np.median(values):+.0f} ± {np.std(values):.0f}" if len(values) > 4 else "–")
+    return [*cells, *(value for kind in COSTS for value in middle_and_most(trials, kind))]
+
+
+def middle_and_most(trials: Iterable[Found], kind: str) -> tuple[str, str]:
+    """Median and 95 % of a stride's milliseconds; what is left of loading hangs on the label of T4."""
+    judged = [t for t in trials if kind == "flat_ms" or t.person not in SHORT_FLAT]
+    values = [ms for t in judged for ms in getattr(t, kind)]
+    return (f"{np.median(values):.0f}", f"{np.percentile(values, 95):.0f}") if values else ("–", "–")
+
+
+def strike_lines(found: list[Found]) -> list[str]:
+    """SD of the foot-strike angle against Vicon, known, unseen and all together; the furthest run."""
+    runs: dict[tuple[str, str], list[Found]] = defaultdict(list)
+    for one in found:
+        if one.strike_deg:
+            runs[one.part, one.run].append(one)
+    off = {key: np.mean([a for f in feet for a in f.strike_deg]) - feet[0].vicon_deg for key, feet in runs.items()}
+    lines = []
+    for part in ("known", "unseen", ""):
+        own = {run: float(d) for (where, run), d in off.items() if part in where}
+        if len(own) > 2:
+            middle = float(np.mean(list(own.values())))
+            far = max(own, key=lambda run: abs(own[run] - middle))
+            lines.append(
+                f"foot-strike angle, {part or 'all'} ({len(own)} runs): SD {np.std(list(own.values()), ddof=1):.2f}°, "
+                f"offset {middle:+.1f}°, furthest {far} {own[far] - middle:+.1f}°"
+            )
+    return lines
+
+
+def low_lines(found: list[Found]) -> list[str]:
+    """Feet below 90 % of the floor walks, what labels alone say, and who was refused."""
+    low = [f for f in found if f.data_set == "stroke_walks" and f.strides and f.share < 90.0]
+    lines = []
+    if any(f.data_set == "stroke_walks" for f in found):
+        each = ", ".join(f"{f.run} {f.sensor.split('_')[0]} {f.share:.0f}" for f in sorted(low, key=lambda f: f.share))
+        lines.append(f"stroke_walks, feet below 90 %: {len(low)}: {each}")
+    for part, persons in (("healthy", "H"), ("hemiparetic", "P")):
+        feet = [f for f in found if f.data_set == "footswitch_treadmill" and f.person[0] in persons]
+        feet = [f for f in feet if f.person not in LYING and f.run not in DRIFTING]
+        if strides := sum(f.strides for f in feet):
+            alone = 100.0 * sum(f.by_labels_alone for f in feet) / strides
+            lines.append(f"footswitch, {part}, by the labels alone: {alone:.2f} % of {strides} strides in order")
+    return lines + [f"refused: {f.run} {f.sensor}: {f.refused}" for f in found if f.refused]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables; 3 without data."""
+    parser = parser_of(__doc__, data_folder())
+    parser.add_argument("--only", nargs="+", choices=SETS, default=SETS, help="these sets alone")
+    parser.add_argument("--persons", nargs="+", help="these walkers alone, as the tables name them")
+    parser.add_argument("--part", choices=("known", "unseen"), help="these walkers alone")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    parser.add_argument("--raw", type=Path, help="everything about every foot, as JSON")
+    options = parser.parse_args(arguments)
+    feet = (f for f in feet_of(options.data, options.only) if not options.persons or f.person in options.persons)
+    feet = (f for f in feet if not options.part or f.part.startswith(options.part))
+    if options.jobs > 1:
+        with ProcessPoolExecutor(options.jobs) as pool:
+            found = list(pool.map(judge, feet, chunksize=1))
+    else:
+        found = [judge(foot) for foot in feet]
+    if not found:
+        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
+        return 3
+    console, groups = console_of(190), groups_of(found)
+    tables = [phases_table(groups), lengths_table(groups), delays_table(found)]
+    publish(console, tables, options, [*strike_lines(found), *low_lines(found)])
+    save([asdict(f) | {"share": f.share} for f in found], options.raw)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,189 @@
+"""Clearance on an incline against the simulated truth, and stairs and level ground told apart by the sensor alone.
+
+    python benchmarks/accuracy/inclines.py [--data FOLDER] [--json FILE]
+
+Inclines: two walkers of the recordings' generator (a healthy pair of feet, Negård et al.'s first patient) on a belt
+that is inclined by −15 to 15 %, three sensors (seeds of their own) each. Errors of ``fes analyse`` and of the live
+tracker with the incline set, of ``fes analyse --slope``, and, for what it costs not to set it, as on level ground. The
+sensor is calibrated where it walks; "elsewhere": the calibration of the level walk.
+
+Rise: what the live tracker, set to level, makes of each stride's height by the sensor alone, on gaitmap's stairs and on
+every level walk of the data folder, and how many of the strides a tuner leaves out for that.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.accuracy.every_walker import SETS, feet_of
+from benchmarks.accuracy.hemiparetic_walks import stairs
+from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.lib.command_line import console_of, parser_of, publish
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.calibration.recording import calibrate_track
+from fes.config import FootGeometry, Ground
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings
+from fes.estimation.strides.results import StrideMaker
+from fes.recording import Recording, Track
+from fes.signals import StrideResult
+from fes.simulation.truth import Truth, TruthStride
+from fes.stimulation.ground import GroundWatch
+from sim_inputs.generator.observe import observe
+from sim_inputs.generator.session import new_session
+from sim_inputs.generator.trials import BOTH, IMU, INSTEP, KMH, PAIR, PATIENT_1
+
+INCLINES_PERCENT = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
+WALKERS = {
+    "healthy": (BOTH, PAIR, 30, 1.2, 4.0, 200.0),
+    "patient": (INSTEP, {"right_foot": PATIENT_1}, 25, 1.1 * KMH, 0.8, 200.0),
+}
+SEEDS = (9100, 9101, 9102)
+WAYS = ("analyse", "live", "live, elsewhere", "--slope", "as level")
+
+
+@dataclass
+class Clearance:
+    """Errors of one walker on one incline by one way, cm."""
+
+    walker: str
+    incline_percent: float
+    way: str
+    toe_cm: list[float]
+    heel_cm: list[float]
+    length_cm: list[float]
+
+
+def walked(walker: str, incline_percent: float, seed: int) -> tuple[Recording, Truth]:
+    """The recording and its truth."""
+    placements, styles, count, speed_mps, ramp_s, rate_hz = WALKERS[walker]
+    session = new_session(walker, seed, placements)
+    session.incline_percent = incline_percent
+    session.stand(4.0)
+    session.walk(styles, count, speed_mps, ramp_s=ramp_s, early=False)
+    session.stand(2.5)
+    session.finish()
+    return session.recording(rate_hz, IMU, ""), observe(session)
+
+
+def live_strides(
+    track: Track, calibration: FootCalibration, geometry: FootGeometry | None, ground: Ground
+) -> list[StrideResult]:
+    """As a live session has them."""
+    tracker = FootTracker(calibration, StrideMaker(track.sensor, stride_settings(calibration, geometry, ground)))
+    return tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
+
+
+def clearances(walker: str) -> Iterator[Clearance]:
+    """Of every incline and way."""
+    for seed, incline in product(SEEDS, INCLINES_PERCENT):
+        if incline == INCLINES_PERCENT[0]:
+            level = calibrations_of(walked(walker, 0.0, seed)[0])[1].calibrations
+        recording, truth = walked(walker, incline, seed)
+        ground, level_share = Ground(incline_percent=incline), float(np.cos(np.arctan(0.01 * incline)))
+        own = calibrations_of(recording, incline=ground.incline)[1].calibrations
+        for way in WAYS:
+            if way.startswith("live"):
+                by = level if "elsewhere" in way else own
+                found = [
+                    stride
+                    for foot, track in recording.tracks.items()
+                    for stride in live_strides(track, by[foot], recording.geometry[foot], ground)
+                ]
+            else:
+                given = {"analyse": ground, "--slope": Ground(free=True), "as level": Ground()}[way]
+                found = analyse(recording, ground=given).strides
+            pairs = list(paired(found, truth))
+            yield Clearance(
+                walker, incline, way,
+                [100.0 * (mine.toe_clearance_m - true.toe_clearance_m) for mine, true in pairs],
+                [100.0 * (mine.heel_clearance_m - true.heel_clearance_m) for mine, true in pairs],
+                [100.0 * (mine.stride_length_m - level_share * true.stride_length_m) for mine, true in pairs],
+            )  # fmt: skip
+
+
+def paired(found: list[StrideResult], truth: Truth) -> Iterator[tuple[StrideResult, TruthStride]]:
+    """Valid strides with the true ones of the same swing, while the belt runs steadily."""
+    for true in truth.strides:
+        for mine in found:
+            if (
+                true.steady
+                and mine.valid
+                and mine.foot == true.foot
+                and mine.t_swing_ns is not None
+                and abs(1e-9 * mine.t_swing_ns - true.t_swing_s) < 0.15
+            ):
+                yield mine, true
+
+
+@dataclass
+class Rises:
+    """Heights by the sensor alone of one data set's strides, live, told that the ground is level (m)."""
+
+    data_set: str
+    free_rise_m: list[float]
+    left_out: int = 0  # strides that teach a tuner nothing
+
+    def add(self, strides: list[StrideResult]) -> None:
+        """One foot's strides, in order."""
+        watch, valid = GroundWatch(), [stride for stride in strides if stride.valid]
+        self.free_rise_m += [stride.free_rise_m for stride in valid]
+        self.left_out += sum(bool(watch.unusual(stride)) for stride in valid)
+
+
+def rises(data: Path) -> Iterator[Rises]:
+    """Of the stairs and of all level sets."""
+    climb = stairs(data)
+    if climb is not None:
+        calibrations, found = calibrations_of(climb, incline=math.nan)[1].calibrations, Rises("gaitmap, stairs", [])
+        for sensor, track in climb.tracks.items():
+            found.add(live_strides(track, calibrations[sensor], None, Ground()))
+        yield found
+    by_set: dict[str, Rises] = {}
+    for foot in feet_of(data, [name for name in SETS if name != "shanks"]):
+        try:
+            calibration = calibrate_track(foot.track)
+        except CalibrationError:
+            continue
+        own = by_set.setdefault(foot.data_set, Rises(foot.data_set, []))
+        own.add(live_strides(foot.track, calibration, None, Ground()))
+    yield from by_set.values()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print both tables."""
+    options = parser_of(__doc__, data_folder()).parse_args(arguments)
+    clearance = Table("walker", "incline %", "way", "strides", "toe cm", "heel cm", "length cm")
+    every = [each for walker in WALKERS for each in clearances(walker)]
+    for walker, incline, way in product(WALKERS, INCLINES_PERCENT, WAYS):
+        own = [each for each in every if (each.walker, each.incline_percent, each.way) == (walker, incline, way)]
+        cells = []
+        for name in ("toe_cm", "heel_cm", "length_cm"):
+            values = np.concatenate([getattr(each, name) for each in own])
+            cells.append(
+                f"{np.nanmean(values):+.2f} ± {np.nanstd(values):.2f}" if np.isfinite(values).any() else "none"
+            )
+        clearance.add_row(walker, f"{incline:+.0f}", way, str(sum(len(each.toe_cm) for each in own)), *cells)
+    found = list(rises(options.data))
+    table = Table("data", "strides", "rise, median cm", "SD cm", "left out")
+    for rise in found:
+        values = np.array(rise.free_rise_m)
+        sd = 1.4826 * np.median(np.abs(values - np.median(values)))
+        table.add_row(
+            rise.data_set, str(len(values)), f"{100 * np.median(values):+.1f}", f"{100 * sd:.1f}", f"{rise.left_out}"
+        )
+    publish(console_of(150), [clearance, table], options)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,314 @@
+"""The phases' figures with the judged walker left out of whatever chose the constants.
+
+    python benchmarks/accuracy/left_out.py [--only SET …] [--constants NAME …] [--jobs N] [--data FOLDER] [--json FILE]
+        [--raw FILE]
+
+Constants of guards and calibration that were chosen by data (``CHOICES``) are chosen again for each walker, by all the
+other walkers of all sets together: the value with the least ``cost``, one constant at a time about the program's own
+values. The walker is then judged once with the values so chosen. Beside it stands the same figure with the program's
+own values, which is a description: they were chosen with the walker looked at.
+
+A walker's cost is the median error of T4, that of T1 where it is true to millimetres (bundled trials, gaitmap), and
+``ORDER_MS`` for each percent of strides out of order; errors are of the size, early or late. Swings, strides and labels
+are those of ``every_walker.py`` and ``swing_judge.py``, the marks those of ``severe_feet.py``; shanks, whose levels are
+their own, and the foot that is dragged by stick and slip, whose instants are not solved, are not part of it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.accuracy.every_walker import (
+    DRIFTING,
+    LYING,
+    SETS,
+    SHORT_FLAT,
+    Foot,
+    Found,
+    against_labels,
+    against_markers,
+    calibrate,
+    causal,
+    feet_of,
+    swings_of,
+)
+from benchmarks.accuracy.severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
+from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.lib.command_line import console_of, parser_of, publish, save
+from benchmarks.lib.event_cases import NAMES, TRIALS
+from benchmarks.lib.swing_judge import pairs, score
+from fes.cohort.sweep.grid import Point
+from fes.cohort.sweep.task import with_thresholds
+from fes.estimation.foot import calibration as foot_calibration
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.recording import read_recording
+from fes.simulation.truth import load_truth
+from statemachine.guards import Thresholds
+from statemachine.phases import PhaseChange, Transition
+
+GUARDS: dict[str, tuple[float, ...]] = {
+    "turn_rad": (0.03, 0.04, 0.05),
+    "heel_rise_share": (0.08, 0.12, 0.16),
+    "lifts_after": (0.31, 0.33, 0.35, 0.37),
+    "toe_up_share": (0.22, 0.26, 0.3, 0.36),
+    "swung_share": (0.4, 0.45, 0.5),
+    "swung_after_s": (0.2, 0.25, 0.3),
+    "push_off_share": (0.3, 0.4, 0.5),
+    "shortest_swing_share": (0.5, 0.6, 0.7),
+    "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
+    "swing_turn_rad": (0.1, 0.15, 0.2),
+    "slowed_share": (0.65, 0.7, 0.75, 0.8),
+    "jerk_share": (0.15, 0.2, 0.3, 0.4),
+    "rest_share": (0.12, 0.15, 0.18, 0.22),
+    "flat_rad": (0.015, 0.02, 0.025, 0.03),
+    "settled_share": (0.35, 0.45, 0.55),
+    "longest_loadings": (1.5, 2.0, 3.0),
+}
+CALIBRATION: dict[str, tuple[float, ...]] = {
+    "FALL_SHARE": (0.35, 0.45, 0.55),
+    "TROUGH_SHARE": (0.2, 0.3, 0.4),
+    "TYPICAL_SHARE": (0.25, 1.0 / 3.0, 0.4),
+}
+CHOICES = GUARDS | CALIBRATION
+OWN = {name: getattr(Thresholds(), name) for name in GUARDS} | {
+    name: getattr(foot_calibration, name) for name in CALIBRATION
+}
+ORDER_MS = 10.0  # of error, that count as one stride of a hundred out of order
+LONGEST_MS = 500.0  # a phase change further from the truth belongs to another stride
+TIMED = (Transition.T1, Transition.T3, Transition.T4)
+Values = tuple[tuple[str, float], ...]
+Walker = tuple[str, str]  # set and person
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One foot by one set of values, or several together; ``late_ms`` by instant, where a truth is."""
+
+    strides: int
+    in_order: int
+    swings: int
+    false_swings: int
+    flat_ms: list[float]
+    left_ms: list[float]
+    late_ms: dict[str, list[float]]
+
+    def off_ms(self, instant: str) -> float:
+        """Size of the median error; NaN where there is no truth."""
+        return abs(float(np.median(self.late_ms[instant]))) if self.late_ms.get(instant) else float("nan")
+
+    @property
+    def cost(self) -> float:
+        """What choosing makes least, ms."""
+        disorder = 100.0 * (self.strides - self.in_order) / self.strides if self.strides else 0.0
+        return float(np.nansum((self.off_ms("T4"), self.off_ms("T1")))) + ORDER_MS * disorder
+
+
+def together(judged: Iterable[Judged]) -> Judged:
+    """A walker's feet as one."""
+    feet = list(judged)
+    late = {each.name: [ms for foot in feet for ms in foot.late_ms.get(each.name, [])] for each in TIMED}
+    return Judged(
+        sum(foot.strides for foot in feet), sum(foot.in_order for foot in feet),
+        sum(foot.swings for foot in feet), sum(foot.false_swings for foot in feet),
+        [ms for foot in feet for ms in foot.flat_ms], [ms for foot in feet for ms in foot.left_ms], late,
+    )  # fmt: skip
+
+
+def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
+    """The feet of these sets; bundled trials and marked feet are sets of their own."""
+    if "bundled" in wanted:
+        for name in NAMES:
+            for track in read_recording(TRIALS / f"{name}.parquet").tracks.values():
+                yield Foot("bundled", "simulated", name, name, track)
+    marked = [foot for foot in severe_feet(data) if (foot.run, side_of(foot)) != DRAGGED]
+    if "severe_feet" in wanted:
+        yield from (replace(foot, data_set="severe_feet") for foot in marked)
+    own = {(foot.run, foot.track.sensor) for foot in marked}
+    for foot in feet_of(data, [name for name in SETS if name in wanted]):
+        lies = foot.person.startswith(LYING) or foot.run in DRIFTING
+        if not lies and (foot.data_set != "stroke_walks" or (foot.run, foot.track.sensor) not in own):
+            yield foot
+
+
+def side_of(foot: Foot) -> str:
+    return foot.track.sensor.split("_")[0]
+
+
+def judge(values: list[Values], foot: Foot) -> list[Judged]:
+    """One foot by some values each."""
+    swings = swings_of(foot)
+    made: dict[Any, FootCalibration | None] = {}
+    return [_judge(foot, swings, dict(each), made) for each in values]
+
+
+def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, FootCalibration | None]) -> Judged:
+    key = tuple(values[name] for name in CALIBRATION)
+    if key not in made:
+        kept = {name: getattr(foot_calibration, name) for name in CALIBRATION}
+        for name in CALIBRATION:
+            setattr(foot_calibration, name, values[name])
+        try:
+            own = calibrate(foot.track)
+            made[key] = own if isinstance(own, FootCalibration) else None
+        except CalibrationError:
+            made[key] = None
+        for name, value in kept.items():
+            setattr(foot_calibration, name, value)
+    strides = [pair for pair in pairs(swings) if foot.labels is None or foot.labels.judged(*pair)]
+    calibration = made[key]
+    if calibration is None:
+        return Judged(len(strides), 0, len(swings.whole()), 0, [], [], {})
+    sensor = foot.track.sensor
+    point = Point(tuple((f"thresholds.{name}", values[name]) for name in GUARDS))
+    changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
+    counts = score(swings, changes, solved)
+    found = Found(foot.data_set, foot.part, foot.person, foot.run, sensor)
+    found.in_order, found.false_swings = counts.in_order, counts.false_swings
+    if foot.labels is not None:
+        against_labels(found, foot.labels, swings, changes)
+        found.later_ms.pop("T1", None)  # switches see a heel rise late, each its own
+        if foot.person in SHORT_FLAT:
+            found.later_ms.pop("T4", None)
+    elif foot.ic_s is not None:
+        against_markers(found, foot, changes)
+    elif foot.data_set == "severe_feet":
+        marks = [marks_of(rater)[foot.run, side_of(foot)] for rater in RATERS]
+        for each in TIMED[1:]:
+            found.later_ms[each.name] = [ms for one in marks for ms in errors_ms(one, changes, each)[1]]
+    elif foot.data_set == "bundled":
+        found.later_ms = against_truth(foot, changes)
+    if foot.person in SHORT_FLAT:
+        found.loading_left_ms = []
+    counted = len(strides), found.in_order, len(swings.whole()), found.false_swings
+    return Judged(*counted, found.flat_ms, found.loading_left_ms, found.later_ms)
+
+
+def against_truth(foot: Foot, changes: Sequence[PhaseChange]) -> dict[str, list[float]]:
+    """How much later than the simulated walker's own instants T1, T3 and T4 are."""
+    strides = [s for s in load_truth(TRIALS / f"{foot.run}.parquet").strides_of(foot.track.sensor) if s.walking]
+    late: dict[str, list[float]] = {}
+    for each, name in zip(TIMED, ("t_pre_swing_s", "t_loading_response_s", "t_stance_s"), strict=True):
+        fired = np.array([1e-9 * change.t_ns for change in changes if change.transition is each])
+        off = [1e3 * min(fired - getattr(stride, name), key=abs) for stride in strides] if len(fired) else []
+        late[each.name] = [float(ms) for ms in off if abs(ms) < LONGEST_MS]
+    return late
+
+
+def walked(feet: list[Foot], values: list[Values], jobs: int) -> list[list[Judged]]:
+    """All feet by all values: [foot][values]."""
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(pool.map(partial(judge, values), feet, chunksize=1))
+
+
+def chosen(costs: dict[Values, dict[Walker, float]], constants: Sequence[str], out: Walker) -> Values:
+    """For each constant the value that costs the other walkers least, in the mean; ties go to the program's own."""
+    best = dict(OWN)
+    for name in constants:
+        mean = {}
+        for value in CHOICES[name]:
+            each = costs[_values(OWN | {name: value})]
+            mean[value] = float(np.mean([cost for walker, cost in each.items() if walker != out]))
+        if min(mean.values()) < mean[OWN[name]] - 1e-9:
+            best[name] = min(mean, key=lambda value: mean[value])
+    return _values(best)
+
+
+def _values(values: dict[str, float]) -> Values:
+    return tuple(sorted(values.items()))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables; 3 without data."""
+    parser = parser_of(__doc__, data_folder())
+    sets = ["bundled", "severe_feet", *(name for name in SETS if name != "shanks")]
+    parser.add_argument("--only", nargs="+", choices=sets, default=sets, help="these sets alone")
+    parser.add_argument("--constants", nargs="+", choices=CHOICES, default=list(CHOICES), help="choose these alone")
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    parser.add_argument("--raw", type=Path, help="every foot by either choice, as JSON")
+    options = parser.parse_args(arguments)
+    feet = list(all_feet(options.data, options.only))
+    if all(foot.data_set == "bundled" for foot in feet):
+        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
+        return 3
+    walkers: dict[Walker, list[int]] = defaultdict(list)
+    for at, foot in enumerate(feet):
+        walkers[foot.data_set, foot.person].append(at)
+    own = _values(OWN)
+    singles = [own, *(_values(OWN | {n: v}) for n in options.constants for v in CHOICES[n] if v != OWN[n])]
+    judged = walked(feet, singles, options.jobs)
+    costs = {
+        values: {walker: together(judged[k][at] for k in its).cost for walker, its in walkers.items()}
+        for at, values in enumerate(singles)
+    }
+    folds = {walker: chosen(costs, options.constants, walker) for walker in walkers}
+    combined = sorted({*folds.values(), own})
+    final = walked(feet, combined, options.jobs)
+    rows = []
+    groups: dict[str, list[tuple[list[Judged], list[Judged]]]] = defaultdict(list)
+    for walker, its in walkers.items():
+        out, inside = ([final[k][combined.index(values)] for k in its] for values in (folds[walker], own))
+        part = feet[its[0]].part
+        if walker[0] == "footswitch_treadmill":
+            part = "healthy" if walker[1].startswith("H") else "hemiparetic"
+        groups[f"{walker[0]}, {part}"].append((out, inside))
+        rows += [
+            {"set": feet[k].data_set, "part": feet[k].part, "person": feet[k].person, "run": feet[k].run,
+             "sensor": feet[k].track.sensor, "left_out": vars(a), "own": vars(b)}
+            for k, a, b in zip(its, out, inside, strict=True)
+        ]  # fmt: skip
+    groups["all"] = [pair for group in groups.values() for pair in group]
+    table = Table(
+        "set", "walkers, feet", "strides", "", "in order %", "worst foot", "false /100", "flat foot stimulated ms",
+        "loading left ms", "most flat of a walker ms",
+        *(f"{each.name} ms" for each in TIMED), "cost ms",
+        title="T1, T3, T4: size of a walker's median error, mean of walkers",
+    )  # fmt: skip
+    for name, group in groups.items():
+        size = f"{len(group)}, {sum(len(out) for out, _ in group)}"
+        strides = sum(foot.strides for out, _ in group for foot in out)
+        table.add_row(name, size, str(strides), "left out", *_cells([out for out, _ in group]))
+        table.add_row("", "", "", "in sample", *_cells([inside for _, inside in group]), end_section=True)
+    choices = []
+    console = console_of(170)
+    for name in options.constants:
+        counts = Counter(dict(values)[name] for values in folds.values())
+        tried = [(v, list(costs[_values(OWN | {name: v})].values())) for v in CHOICES[name]]
+        choices.append(
+            f"{name}: own {OWN[name]:g}; chosen " + ", ".join(f"{v:g} ({n})" for v, n in counts.most_common())
+            + "; cost of all walkers " + ", ".join(f"{v:g}: {np.mean(cost):.1f}" for v, cost in tried)
+        )  # fmt: skip
+    publish(console, [table], options, choices)
+    save(rows, options.raw)
+    return 0
+
+
+def _cells(walkers: list[list[Judged]]) -> list[str]:
+    persons, feet = [together(each) for each in walkers], [foot for each in walkers for foot in each]
+    flat, left = ([ms for foot in feet for ms in getattr(foot, name)] for name in ("flat_ms", "left_ms"))
+    most = [float(np.median(person.flat_ms)) for person in persons if person.flat_ms]
+    off = [[x for x in (person.off_ms(each.name) for person in persons) if not np.isnan(x)] for each in TIMED]
+    every = together(feet)
+    return [
+        f"{100.0 * every.in_order / max(every.strides, 1):.2f}",
+        f"{min((100.0 * foot.in_order / foot.strides for foot in feet if foot.strides), default=float('nan')):.1f}",
+        f"{100.0 * every.false_swings / max(every.swings, 1):.2f}",
+        *(f"{np.median(ms):.0f}" if ms else "–" for ms in (flat, left)),
+        f"{max(most):.0f}" if most else "–",
+        *(f"{np.mean(sizes):.0f}" if sizes else "–" for sizes in off),
+        f"{np.mean([person.cost for person in persons]):.1f}",
+    ]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,234 @@
+"""The tables of the four papers, their published values beside ours: docs/paper_tables.md.
+
+    python benchmarks/accuracy/papers.py --simulated [--json FILE]    Negård et al., on the bundled trials
+    python benchmarks/accuracy/papers.py [--json FILE]                the other three
+
+Negård et al.: the bundled trials imitate their two patients (simulated: the same set-up, not the same people), held
+against the bundled 25 Hz ultrasonic reference in the lab's frame by Eq. (21) and (22), as `fes evaluate` does. Kumar et
+al. print no figures: IC and FO against markers. Wu et al.: shanks of stroke survivors on a belt; the error of the
+distance is that of the mean speed in the last 120 s. Wang et al.: the same for the feet, with their parameters. The
+real recordings lie in $FES_DATA, else in ../shared/data; without them their tables are left out and the exit code is 3.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy.ankle import evaluate as shanks_of
+from benchmarks.accuracy.stroke_treadmill import LAST_S, data_folder
+from benchmarks.lib.command_line import parser_of
+from benchmarks.lib.figures import Figures, Result, digest
+from fes.analysis.parameters.gait import gait_parameters
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
+from fes.datasets import read_file
+from fes.evaluation.reference.compare import from_analysis
+from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Settings, evaluate
+from fes.evaluation.reference.read import read_references
+from fes.evaluation.reference.table import Reference, ReferenceEvent
+from fes.recording import Recording, read_recording
+from fes.simulation.truth import Truth, load_truth
+
+TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
+Cells = list[list[str]]
+PHASES = ("pre_swing", "swing", "loading_response", "stance")
+WANG = {
+    "stride_length_common_m": ("SL, m", 1.0, 2),
+    "swing_s": ("swing, s", 1.0, 2),
+    "stance_s": ("stance, s", 1.0, 2),
+    "position_variation_m": ("PV, m", 1.0, 2),
+    "orientation_variation_rad": ("OV, deg", 57.29578, 1),
+    "deviation_m": ("MDD, m", 1.0, 2),
+    "lift_m": ("MLH, m", 1.0, 2),
+    "heel_rotation_rad": ("MLR, deg", 57.29578, 1),
+}
+
+# of their Table 2: the control and the first of five hemiparetic gaits, side by side with WANG
+PUBLISHED_WANG = """
+published, H, 1.37 ± 0.06, 0.61 ± 0.02, 0.51 ± 0.06, 0.07 ± 0.02, 7.4 ± 1.7, 0.02 ± 0.03, 0.14 ± 0.01, 61.2 ± 1.1
+published H1, A, 0.83 ± 0.08, 1.54 ± 0.25, 1.04 ± 0.40, 0.10 ± 0.04, 10.6 ± 4.8, 0.02 ± 0.03, 0.04 ± 0.01, 44.0 ± 9.9
+the same, H, 0.85 ± 0.06, 0.44 ± 0.04, 2.05 ± 0.21, 0.14 ± 0.10, 7.0 ± 3.3, 0.04 ± 0.03, 0.26 ± 0.16, 64.8 ± 2.9
+"""
+
+
+def analysed(recording: Recording) -> Analysis:
+    recording, found = calibrations_of(recording)
+    return analyse(recording, found.calibrations)
+
+
+def negard() -> list[Figures]:
+    published = {"length": (("3.63", "1.65"), ("1.74", "3.32")), "clearance": (("0.30", "0.38"), ("0.50", "1.30"))}
+    what_of = {"length": "stride length, cm", "clearance": "clearance, cm"}
+    errors, phases = [], []
+    for k, name in enumerate(("negard_patient1", "negard_patient2")):
+        analysis = analysed(read_recording(TRIALS / f"{name}.parquet"))
+        reference = read_references([TRIALS / f"{name}.reference.csv"], foot="right_foot")
+        settings = Settings(belt_mps=analysis.recording.belt_speed_mps, fit_lag=True)
+        result = evaluate(from_analysis(analysis), reference, settings)
+        rows = {row.quantity: row for row in result.rows}
+        for what, key in (("length", "stride_length_m"), ("clearance", "clearance_m")):
+            d = rows[key].differences
+            mean, sd = published[what][k]
+            limits = f"{100 * d.lower_limit.value:+.2f} … {100 * d.upper_limit.value:+.2f}"
+            ours = [f"{100 * d.bias.value:+.2f}", f"{100 * d.sd:.2f}", limits, f"{rows[key].icc.value:.2f}", str(d.n)]
+            errors.append([f"patient {k + 1}", what_of[what], mean, sd, *ours])
+        if k == 1:
+            phases = phase_durations(analysis, load_truth(TRIALS / f"{name}.parquet"))
+    head = ["patient", "error", "published mean", "published SD", "our mean", "our SD", "limits", "ICC", "n"]
+    first = Figures(
+        "Negård et al., Table 2: errors against the ultrasonic reference (theirs: patients; ours: simulated)",
+        head,
+        errors,
+    )
+    second = Figures(
+        "Negård et al., Table 1: phase durations, patient 2", ["", "pre-swing", "swing", "loading", "stance"], phases
+    )
+    return [second, first]
+
+
+def phase_durations(analysis: Analysis, truth: Truth) -> Cells:
+    """As detected, causally, and as the simulated patient really moved."""
+    ours = [
+        [t and 1e-9 * t for t in (s.t_pre_swing_ns, s.t_swing_ns, s.t_loading_response_ns, s.t_stance_ns)]
+        for s in analysis.strides
+        if s.valid
+    ]
+    true = [[s.t_pre_swing_s, s.t_swing_s, s.t_loading_response_s, s.t_stance_s] for s in truth.strides if s.steady]
+    return [
+        ["published, mean", "0.40 s", "0.69 s", "0.19 s", "0.74 s"],
+        ["published, SD", "5.0 %", "4.0 %", "20.8 %", "8.6 %"],
+        *means_and_spreads("ours, detected as in a session", ours),
+        *means_and_spreads("truth of the simulated patient", true),
+    ]
+
+
+def means_and_spreads(who: str, begins: Sequence[Sequence[float | None]]) -> Cells:
+    lasted: list[list[float]] = [[] for _ in PHASES]
+    for k, own in enumerate(begins):
+        following = begins[k + 1][0] if k + 1 < len(begins) else None
+        for phase, begin, end in zip(lasted, own, [*own[1:], following], strict=True):
+            if begin is not None and end is not None:
+                phase.append(end - begin)
+    means = [f"{np.mean(phase):.2f} s" for phase in lasted]
+    return [
+        [f"{who}, mean", *means],
+        [f"{who}, SD", *(f"{100 * np.std(phase, ddof=1) / np.mean(phase):.1f} %" for phase in lasted)],
+    ]
+
+
+def kumar(folder: Path) -> list[Figures]:
+    imported = read_file("gaitmap", folder / "gaitmap_walk" / "imu_sample.csv")
+    rows = list(imported.references[".events.csv"][1])
+    events = tuple(sorted(ReferenceEvent(float(t), str(foot), str(what)) for foot, what, t in rows))
+    result = evaluate(from_analysis(analysed(imported.recording)), Reference(("gaitmap",), events))
+    cells = [[row.about.label, str(row.differences.n), *spread(row, 1)] for row in result.rows if row.foot == BOTH]
+    missed = sum(count.missed for count in result.counts)
+    extra = sum(count.extra for count in result.counts)
+    title = f"Kumar et al. (no figures printed): IC and FO off-line, gaitmap; {missed} missed, {extra} extra"
+    return [Figures(title, ["quantity, ms", "n", "mean", "SD", "limits"], cells)]
+
+
+def spread(row: AgreementRow, digits: int) -> list[str]:
+    d, factor = row.differences, row.about.factor
+    limits = " … ".join(f"{factor * limit.value:+.{digits}f}" for limit in (d.lower_limit, d.upper_limit))
+    return [f"{factor * d.bias.value:+.{digits}f}", f"{factor * d.sd:.{digits}f}", limits]
+
+
+def runs(folder: Path) -> list[Path]:
+    """Those on a belt of known speed."""
+    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
+    return [path for path in paths if np.isfinite(float(np.load(path)["belt_speed"]))]
+
+
+def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
+    rows: Cells = []
+    columns: list[list[float]] = []
+    for path in runs(folder):
+        for side in shanks_of(path):
+            foot = feet[f"{path.stem} {side.sensor.removesuffix('_shank')}"]
+            columns.append([100 * abs(side.zupt - 1.0), 100 * abs(side.learnt - 1.0), 100 * foot])
+    values = np.array(columns)
+    rows.append(["published, mean of 10 healthy (columns as printed)", "13.44", "3.58", "2.33"])
+    rows.append(["the same, worked out from the printed rows", "13.44", "3.53", "2.33"])
+    rows.append([f"ours, mean of {len(values)} sides of stroke survivors", *(f"{v:.2f}" for v in values.mean(axis=0))])
+    rows.append(["ours, worst side", *(f"{v:.2f}" for v in values.max(axis=0))])
+    head = ["error of the distance, %", "ankle, ZUPT", "ankle, non-ZUPT", "foot (theirs: ZUPT; ours: as `fes analyse`)"]
+    return [Figures("Wu et al., Table I: level walking (theirs over ground; ours on a belt)", head, rows)]
+
+
+def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
+    errors: dict[str, float] = {}
+    parameters: Cells = []
+    for path in runs(folder):
+        imported = read_file("stroke_treadmill", path)
+        analysis = analysed(imported.recording)
+        since = 1e9 * (max(t.duration_s for t in imported.recording.tracks.values()) - LAST_S)
+        for foot in ("left_foot", "right_foot"):
+            late = [s for s in analysis.strides if s.foot == foot and s.valid and s.t_start_ns >= since]
+            speed = sum(s.stride_length_m for s in late) / (1e-9 * sum(s.t_end_ns - s.t_start_ns for s in late))
+            errors[f"{path.stem} {foot.removesuffix('_foot')}"] = abs(
+                speed / (imported.recording.belt_speed_mps or 1.0) - 1
+            )
+        if path.stem.endswith("FBIC"):
+            for foot, found in gait_parameters(analysis).feet.items():
+                cells = [
+                    f"{factor * found[key].mean:.{digits}f} ± {factor * found[key].sd:.{digits}f}"
+                    if key in found
+                    else "–"
+                    for key, (_, factor, digits) in WANG.items()
+                ]
+                parameters.append([path.stem, foot.removesuffix("_foot"), *cells])
+    percent = 100.0 * np.array(list(errors.values()))
+    distance = [
+        ["published, healthy, over ground", "3.08 ± 1.77"],
+        ["published, hemiparetic walks: healthy side", "1.01 ± 0.72"],
+        ["published, hemiparetic walks: afflicted side", "3.55 ± 3.60"],
+        [
+            f"ours, stroke survivors on a belt, {len(percent)} feet (sides not known)",
+            f"{percent.mean():.2f} ± {percent.std(ddof=1):.2f}",
+        ],
+    ]
+    published = [[cell.strip() for cell in line.split(",")] for line in PUBLISHED_WANG.strip().splitlines()]
+    texts = [
+        Figures("Wang et al.: absolute error of the distance, %", ["", "mean ± SD"], distance),
+        Figures(
+            "Wang et al., Table 2: parameters (H healthy, A afflicted side; ours: the runs FBIC)",
+            ["walk", "side", *(name for name, _, _ in WANG.values())],
+            published + parameters,
+        ),
+    ]
+    return texts, errors
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the tables; 3 without the recordings that they take."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--simulated", action="store_true", help="those of the bundled trials")
+    given = parser.parse_args(arguments)
+    folder = data_folder()
+    if given.simulated:
+        command, tables = "python benchmarks/accuracy/papers.py --simulated", negard()
+        data = {"sim_inputs/negard_*": digest(TRIALS.glob("negard_*"))}
+    elif (folder / "gaitmap_walk").is_dir() and runs(folder):
+        of_wang, errors = wang(folder)
+        command, tables = "python benchmarks/accuracy/papers.py", [*kumar(folder), *wu(folder, errors), *of_wang]
+        data = {
+            "gaitmap_walk": digest((folder / "gaitmap_walk").glob("*.csv")),
+            "stroke_treadmill": digest(runs(folder)),
+        }
+    else:
+        print(f"No gaitmap_walk and stroke_treadmill in {folder}; set FES_DATA.", file=sys.stderr)
+        return 3
+    result = Result(command, tables, data)
+    print(result.markdown())
+    if given.json is not None:
+        result.keep(given.json)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,221 @@
+"""Phases of six severe, slow feet against instants that two raters set by hand, each alone.
+
+    python benchmarks/accuracy/severe_feet.py [--data FOLDER] [--json FILE]
+
+The marks are ``tests/accuracy/severe_feet`` (its README says how they were set and what they are worth), the recordings
+``stroke_walks`` of the unseen walkers. What is judged is what users get live: calibration from the recording itself,
+phases as they come. A mark's phase change is the nearest of its kind in the swing's cycle, from the middle of the
+stance before to the middle of the stance after; a mark without one is a miss and counts as not within 60 ms. "One
+swing" is the share of marked swings with exactly one T2 in their cycle, whatever else moved the foot there. Beside it
+stands how far the raters are apart (b − a): nothing finer can be judged. S22's right foot, which is dragged by stick
+and slip, is shown apart.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.accuracy.every_walker import TIMES, Foot, calibrate, causal, stroke_walks
+from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.lib.command_line import console_of, parser_of, publish
+from fes.estimation.foot.calibration import CalibrationError
+from statemachine.phases import PhaseChange, Transition
+
+MARKS = Path(__file__).resolve().parents[2] / "tests" / "accuracy" / "severe_feet"
+RATERS = ("a", "b")
+DRAGGED = ("S22", "right")
+CLOSE_MS = 60.0
+EDGE_S = 1.0  # of stance beside the first mark and the last
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One swing of one foot by one rater: T1–T4 in s from the foot's first sample, NaN where the rater left it open."""
+
+    run: str
+    side: str
+    times_s: tuple[float, float, float, float]
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """From the first instant that is set to the last."""
+        return float(np.nanmin(self.times_s)), float(np.nanmax(self.times_s))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Errors of one instant, ms late; ``marks`` are all that were set, found or not."""
+
+    foot: str
+    against: str
+    instant: str
+    marks: int
+    errors_ms: list[float]
+
+    @property
+    def within(self) -> float:
+        """Share of the marks within ``CLOSE_MS``, %."""
+        close = sum(abs(error) <= CLOSE_MS for error in self.errors_ms)
+        return 100.0 * close / self.marks if self.marks else math.nan
+
+    @property
+    def text(self) -> str:
+        """Median [5 %, 95 %], share within."""
+        if not self.errors_ms:
+            return "–"
+        low, middle, high = np.percentile(self.errors_ms, (5, 50, 95))
+        return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}], {self.within:.0f} %"
+
+
+def marks_of(rater: str) -> dict[tuple[str, str], list[Mark]]:
+    """One rater's swings, by run and side, in the order of time."""
+    found: dict[tuple[str, str], list[Mark]] = {}
+    with (MARKS / f"rater_{rater}.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            t1, t2, t3, t4 = (float(row[f"t{number}_s"] or "nan") for number in (1, 2, 3, 4))
+            found.setdefault((row["run"], row["foot"]), []).append(Mark(row["run"], row["foot"], (t1, t2, t3, t4)))
+    return found
+
+
+def name_of(run: str, side: str) -> str:
+    return f"{run} {side}" + (", dragged" if (run, side) == DRAGGED else "")
+
+
+def paired(first: Sequence[Mark], second: Sequence[Mark]) -> list[tuple[Mark, Mark]]:
+    """The same swings of one foot by two raters: those that overlap in time, each with the one it overlaps most."""
+    found = []
+    for one in first:
+        overlaps = [min(one.span_s[1], x.span_s[1]) - max(one.span_s[0], x.span_s[0]) for x in second]
+        if overlaps and max(overlaps) > 0.0:
+            found.append((one, second[int(np.argmax(overlaps))]))
+    return found
+
+
+def between_raters(feet: Sequence[tuple[str, str]], name: str) -> list[Agreement]:
+    """How much later than rater a rater b set each instant; of these feet together."""
+    a, b = (marks_of(rater) for rater in RATERS)
+    pairs = [pair for foot in feet for pair in paired(a[foot], b[foot])]
+    found = []
+    for k, each in enumerate(TIMES):
+        off = [1e3 * (y.times_s[k] - x.times_s[k]) for x, y in pairs]
+        off = [round(ms, 6) for ms in off if not math.isnan(ms)]
+        found.append(Agreement(name, "raters", each.name, len(off), off))
+    return found
+
+
+def cycles(marks: Sequence[Mark]) -> list[tuple[float, float]]:
+    """From the middle of the stance before each swing to the middle of that after it, s."""
+    cuts = [0.5 * (before.span_s[1] + after.span_s[0]) for before, after in pairwise(marks)]
+    return list(pairwise([marks[0].span_s[0] - EDGE_S, *cuts, marks[-1].span_s[1] + EDGE_S]))
+
+
+def errors_ms(marks: Sequence[Mark], changes: Sequence[PhaseChange], instant: Transition) -> tuple[int, list[float]]:
+    """How many swings have this instant set, and how much later each phase change was, ms."""
+    count, found = 0, []
+    for mark, (begin, end) in zip(marks, cycles(marks), strict=True):
+        true_s = mark.times_s[TIMES.index(instant)]
+        if math.isnan(true_s):
+            continue
+        count += 1
+        late = [1e-9 * c.t_ns - true_s for c in changes if c.transition is instant and begin < 1e-9 * c.t_ns <= end]
+        if late:
+            found.append(1e3 * min(late, key=abs))
+    return count, found
+
+
+def single(marks: Sequence[Mark], changes: Sequence[PhaseChange]) -> int:
+    """Swings with exactly one T2 in their cycle."""
+    offs = np.array([1e-9 * change.t_ns for change in changes if change.transition is Transition.T2])
+    return sum(int(np.count_nonzero((offs > begin) & (offs <= end)) == 1) for begin, end in cycles(marks))
+
+
+@dataclass(frozen=True)
+class Result:
+    """One foot, or several together, against one rater."""
+
+    foot: str
+    rater: str
+    swings: int
+    one_swing: int
+    instants: list[Agreement]
+
+
+def severe_feet(data: Path) -> list[Foot]:
+    """The feet that are marked."""
+    marked = marks_of(RATERS[0])
+    feet = stroke_walks(data / "unseen_walkers", "unseen")
+    return [foot for foot in feet if (foot.run, foot.track.sensor.split("_")[0]) in marked]
+
+
+def judge(foot: Foot, rater: str, changes: Sequence[PhaseChange]) -> Result:
+    """One foot against one rater; a refused foot has no changes."""
+    side = foot.track.sensor.split("_")[0]
+    marks, name = marks_of(rater)[foot.run, side], name_of(foot.run, side)
+    instants = [Agreement(name, rater, each.name, *errors_ms(marks, changes, each)) for each in TIMES]
+    return Result(name, rater, len(marks), single(marks, changes), instants)
+
+
+def together(results: Sequence[Result], name: str) -> Result:
+    """Several feet as one."""
+    instants = [
+        Agreement(
+            name, same[0].against, same[0].instant, sum(x.marks for x in same),
+            [ms for x in same for ms in x.errors_ms],
+        )
+        for same in zip(*(result.instants for result in results), strict=True)
+    ]  # fmt: skip
+    swings, ones = sum(r.swings for r in results), sum(r.one_swing for r in results)
+    return Result(name, results[0].rater, swings, ones, instants)
+
+
+def evaluate(data: Path) -> list[Result]:
+    """Each foot and all but the dragged one together, against each rater."""
+    results = []
+    for foot in severe_feet(data):
+        try:
+            changes, _ = causal(foot.track, calibrate(foot.track))
+        except CalibrationError:
+            changes = []
+        results += [judge(foot, rater, changes) for rater in RATERS]
+    dragged = name_of(*DRAGGED)
+    for rater in RATERS if results else ():
+        own = [r for r in results if r.rater == rater and r.foot != dragged]
+        results.append(together(own, f"{len(own)} feet together"))
+    return results
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; 3 without data."""
+    options = parser_of(__doc__, data_folder()).parse_args(arguments)
+    results = evaluate(options.data)
+    if not results:
+        print(f"No stroke_walks in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
+        return 3
+    table = Table(
+        "foot", "against", "swings", "one swing %", *(f"{each.name} ms" for each in TIMES),
+        title=f"later than the mark, median [5 %, 95 %], and share within ±{CLOSE_MS:.0f} ms",
+    )  # fmt: skip
+    marked = list(marks_of(RATERS[0]))
+    for name in dict.fromkeys(result.foot for result in results):
+        own = [result for result in results if result.foot == name]
+        for result in own:
+            one = f"{100.0 * result.one_swing / result.swings:.0f}"
+            table.add_row(name, f"rater {result.rater}", str(result.swings), one, *(x.text for x in result.instants))
+        feet = [foot for foot in marked if name_of(*foot) == name] or [foot for foot in marked if foot != DRAGGED]
+        apart = between_raters(feet, name)
+        table.add_row("", "b − a", str(apart[0].marks), "", *(x.text for x in apart), end_section=True)
+    publish(console_of(170), [table], options)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,1 @@
+"""What the rooms share: kept figures and their pages, command lines, sets of recordings, judges of swings."""

@@ -1,0 +1,97 @@
+"""What the benchmarks' command lines have in common: options, the console, the tables for a page, the last word."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.lib.figures import Figures, Result, digest
+
+# Options that change where or how fast, not what is measured.
+ASIDE = ("--json", "--raw", "--data", "--jobs", "--peers")
+
+
+def parser_of(text: str | None, data: Path | None = None) -> argparse.ArgumentParser:
+    """The benchmark's own text as it stands, and ``--json``; ``--data`` where ``data`` says where recordings are."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if data is not None:
+        parser.add_argument("--data", type=Path, default=data, help="folder of the recordings")
+    parser.add_argument("--json", type=Path, help="write the results here as well")
+    return parser
+
+
+def console_of(columns: int) -> Console:
+    """As wide as the terminal; where there is none, wide enough for the tables."""
+    return Console() if sys.stdout.isatty() else Console(width=columns)
+
+
+def publish(
+    console: Console,
+    tables: Sequence[Table],
+    options: argparse.Namespace,
+    notes: Sequence[str] = (),
+    folder: Path | None = None,
+) -> None:
+    """Print tables and lines; with ``--json`` keep them for a page of ``docs/`` (:mod:`figures`).
+
+    ``folder`` is where the recordings are, of whom ``--data`` does not ask.
+    """
+    for table in tables:
+        console.print(table)
+    for line in notes:
+        console.print(line, markup=False)
+    if options.json is None:
+        return
+    folder = getattr(options, "data", folder)
+    data = {}
+    if folder is not None and folder.is_dir():
+        data["data folder"] = digest(path for path in folder.rglob("*") if path.suffix in (".npz", ".mat", ".csv"))
+    Result(_command(sys.argv), [_figures(table) for table in tables], data, notes=list(notes)).keep(options.json)
+
+
+def _figures(table: Table) -> Figures:
+    rows = zip(*([str(cell) for cell in column.cells] for column in table.columns), strict=True)
+    return Figures(
+        str(table.title or ""), [str(column.header) for column in table.columns], [list(row) for row in rows]
+    )
+
+
+def _command(typed: Sequence[str]) -> str:
+    words, kept = iter(typed[1:]), []
+    for word in words:
+        if word in ASIDE:
+            next(words, None)
+        elif not word.startswith(tuple(f"{name}=" for name in ASIDE)):
+            kept.append(word)
+    return " ".join(["python", "/".join(("benchmarks", *Path(typed[0]).resolve().parts[-2:])), *kept])
+
+
+def spread(values: Sequence[float]) -> str:
+    """Median [5 %, 95 %], whole numbers with their signs."""
+    if not len(values):
+        return "–"
+    low, middle, high = np.percentile(values, (5, 50, 95))
+    return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
+
+
+def save(results: Any, path: Path | None) -> None:
+    """As JSON, where a path was given."""
+    if path is not None:
+        path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+def verdict(console: Console, held: bool, *, several: bool = False) -> int:
+    """Say whether the bar holds, or the bars; the exit code."""
+    if held:
+        console.print("The bars hold." if several else "The bar holds.")
+    else:
+        console.print("[red]The bars do not hold.[/]" if several else "[red]The bar does not hold.[/]")
+    return 0 if held else 1

@@ -1,0 +1,1 @@
+"""How fast: an analysis and its stages, a live step, a session, a day, a cohort; how long late, how much memory."""

@@ -1,0 +1,186 @@
+"""The live road: a session's latency with two feet over two real transports, all ends in processes of their own.
+
+The right foot's sensor is an Xsens on a pseudo-terminal, the left one's an x-IMU3 behind TCP, the stimulator is on CAN
+(UDP multicast, or the loopback bus). `fes run` is armed by a scripted operator; the simulated patient walks and is
+stimulated. Latency is from a sample's reading to the last byte written, by the clock in one pass, lost samples are
+counted by the sensors' own stamps, and an idle loop measures beside it what this machine does to a process that does
+nothing.
+
+    python benchmarks/speed/live_latency.py [--minutes 1] [--rate 100] [--json FILE]
+    python benchmarks/speed/live_latency.py --hogs 3                                     with busy processes beside it
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from benchmarks.lib.command_line import parser_of
+from benchmarks.speed.speed_row import Row, print_rows
+from benchmarks.speed.speed_table import Spent, machine, result_of
+from drivers.simulated.spawn import ImuKind, NodeHandle, free_bus, spawn_imu, spawn_node
+from fes.calibration.recording import calibrate_phase_sensors, save
+from fes.hil.baseline import Baseline
+from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupted
+from fes.recording import Recording, write_recording
+from fes.session_log import SessionRecord, read_session
+from fes.signals import FOOT_SENSORS
+from fes.simulation.sensor import ImuModel, Placement
+from sim_inputs.generator.session import new_session
+from sim_inputs.generator.trials import HEALTHY
+
+LINES: tuple[tuple[str, ImuKind, Literal["pty", "tcp"]], ...] = (
+    ("right_foot", "xbus", "pty"),
+    ("left_foot", "ximu3", "tcp"),
+)
+GROUP = "the live road"
+MEAN_US, P99_US, P999_US = 60.0, 250.0, 3000.0
+WITH_HOGS_P99_US = 2000.0
+INTENSITY = 0.5
+
+CHANNEL = """
+[[channels]]
+name = "tibialis anterior {foot}"
+number = {number}
+foot = "{foot}"
+electrode_area_cm2 = 25.0
+current_ma = 40.0
+pulse_width_us = 300.0
+frequency_hz = 40.0
+rise_s = 0.1
+[channels.limits]
+max_current_ma = 80.0
+max_pulse_width_us = 400.0
+max_frequency_hz = 50.0
+max_charge_per_phase_uc = 24.0
+max_charge_per_minute_mc = 50.0
+max_current_density_ma_per_cm2 = 1.0
+max_rise_ma_per_s = 800.0
+max_on_s = 3.0
+min_off_s = 0.05
+"""
+SENSOR = """
+[[sensors]]
+sensor = "{foot}"
+device = "{device}"
+port = "{port}"
+rate_hz = {rate_hz}
+acc_range_g = 16.0
+gyr_range_dps = 2000.0
+{options}
+"""
+
+
+def walk(before_s: float, strides: int, rate_hz: float) -> Recording:
+    placements = {foot: Placement((0.07, 0.0, 0.068), (3.0, 21.0, -4.0)) for foot in FOOT_SENSORS}
+    session = new_session("latency", 5, placements)
+    session.stand(before_s)
+    session.walk(dict.fromkeys(FOOT_SENSORS, HEALTHY), strides, 1.1, ramp_s=0.8, early=False)
+    session.stand(1.5)
+    return session.recording(rate_hz, ImuModel(), "simulated")
+
+
+def settings(node: NodeHandle, ports: dict[str, str], rate_hz: float) -> str:
+    text = f'name = "latency"\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 1\n'
+    for number, foot in enumerate(FOOT_SENSORS):
+        text += CHANNEL.format(foot=foot, number=number)
+        device, options = ("xbus", "[sensors.options]\nbaudrate = 921600") if foot == "right_foot" else ("ximu3", "")
+        text += SENSOR.format(foot=foot, device=device, port=ports[foot], rate_hz=rate_hz, options=options)
+    text += f'[bus]\ninterface = "{node.bus.interface}"\nchannel = "{node.bus.channel}"\n'
+    return text + f"[bus.options]\nport = {node.bus.options['port']}\n"
+
+
+def drive(operator: ScriptedOperator, controller: ControllerProcess, seconds: float) -> None:
+    """Arm whenever it is not, raise, until the time is over or the session ends."""
+    end_s, faults = time.monotonic() + seconds, 0
+    while time.monotonic() < end_s and controller.alive:
+        time.sleep(0.2)
+        status = operator.receive_status()
+        if status is None:
+            continue
+        if status.state in ("shadow", "fault"):
+            if status.state == "fault" and status.fault:
+                faults += 1
+            operator.send_command("arm")
+        elif status.intensity < INTENSITY:
+            operator.send_command("up")
+    operator.send_command("quit")
+    controller.wait(20.0)
+
+
+def rows_of(record: SessionRecord, hogs: int, rate_hz: float) -> list[Row]:
+    """What was measured, each with what is required."""
+    rows, us = [], np.asarray(record.latency_ns) * 1e-3
+    for sensor, samples in record.samples.items():
+        steps = np.diff(samples.t_sensor_ns) * 1e-9 * rate_hz
+        lost = float(np.sum(np.maximum(np.round(steps) - 1, 0)))
+        rows.append(Row(GROUP, f"samples lost, {sensor}", lost, "", 0.0, note=f"of {len(samples.t_ns)}"))
+    bursts = sum(command.on for command in record.commands)
+    told = f"{len(us)} decisions, {bursts} commands with current, stalls {record.summary.get('stalls')}"
+    p99, p999 = (float(value) for value in np.percentile(us, (99.0, 99.9)))
+    of = f"2 × {rate_hz:g} Hz" + (f", {hogs} busy processes beside it" if hogs else "")
+    rows.append(Row(GROUP, f"latency, mean, {of}", float(us.mean()), "µs", None if hogs else MEAN_US, note=told))
+    rows.append(Row(GROUP, f"latency, 99 %, {of}", p99, "µs", WITH_HOGS_P99_US if hogs else P99_US))
+    rows.append(Row(GROUP, f"latency, 99.9 %, {of}", p999, "µs", None if hogs else P999_US))
+    faults = [note.text for note in record.notes if note.severity == "fault"]
+    rows.append(Row(GROUP, "faults", float(len(faults)), "", None, note="; ".join(dict.fromkeys(faults))))
+    return rows
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--rate", type=float, default=100.0, help="of each sensor, Hz")
+    parser.add_argument("--hogs", type=int, default=0, help="busy processes beside it")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        recording, calibration = folder / "walk.parquet", folder / "walk.calibration.json"
+        write_recording(walk(4.0, 10, options.rate), recording)
+        save(calibrate_phase_sensors(walk(4.0, 12, options.rate)), calibration)
+        node = stack.enter_context(spawn_node(bus=free_bus(), record=folder / "node.jsonl"))
+        ports = {}
+        for foot, kind, line in LINES:
+            imu = spawn_imu(kind, sensor=foot, recording=recording, rate_hz=options.rate, line=line)
+            stack.callback(imu.stop)
+            ports[foot] = imu.port
+        path = folder / "session.toml"
+        path.write_text(settings(node, ports, options.rate), encoding="utf-8")
+        with uninterrupted():
+            controller = ControllerProcess(path, calibration, folder / "run")
+            stack.callback(controller.end)
+        operator = controller.operator
+        for _ in range(300):
+            time.sleep(0.2)
+            if (status := operator.receive_status()) is not None and status.state != "off":
+                break
+        baseline = Baseline()
+        seconds = 60.0 * options.minutes
+        code = f"import time\nend = time.monotonic() + {seconds}\nwhile time.monotonic() < end: pass"
+        for _ in range(options.hogs):
+            hog = subprocess.Popen([sys.executable, "-c", code])
+            stack.callback(hog.wait)
+            stack.callback(hog.kill)
+        begin = Spent.now()
+        drive(operator, controller, seconds)
+        told = machine(begin.others_until(Spent.now()))
+        print(f"baseline     {baseline.end()}")
+        log = controller.log()
+        if log is None:
+            print(controller.printed())
+            return 1
+        rows = rows_of(read_session(log), options.hogs, options.rate)
+    if options.json is not None:
+        result_of(f"live_latency.py --minutes {options.minutes:g}", rows, told).keep(options.json)
+    return print_rows(rows, "The live road")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,229 @@
+"""How fast: `fes.analyse` of two feet with every table made, the pipeline and each of its stages, start-up.
+
+    python benchmarks/speed/speed.py [--minutes 10] [--json FILE] [--cold]
+
+The recording is the first run of the stroke-treadmill set, or without that (docs/accuracy.md says where it is from) the
+bundled both_feet_200hz, repeated to ``--minutes``. A foot's sample counts as one. *The user's road* is ``fes.analyse``
+and all of its tables, by the clock and in one pass after one that warms up. The other times are this process's
+processor time, the least of several runs, so that other programs disturb them little. ``--cold`` also times `fes
+analyse` with an empty compiler cache. What long recordings take ``speed_growth.py`` measures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import fes
+from benchmarks.accuracy.stroke_treadmill import data_folder, load_run
+from benchmarks.speed.speed_bare import bare_seconds
+from fes.analysis.ground_path import ground_path
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
+from fes.analysis.stride_fusion import fuse
+from fes.analysis.toe_and_heel import point_heights
+from fes.estimation.events.offline import find_events
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings
+from fes.estimation.strides.results import StrideMaker
+from fes.estimation.zupt.foot_trajectory import foot_samples
+from fes.recording import Recording, Track, read_recording, write_recording
+from fes.recording.chunks import keep_freed_memory
+from fes.recording.tracks import newer_samples
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES_PER_S, ROAD_SAMPLES_PER_S = 1_500_000.0, 900_000.0
+BARE_RATIO = 2.0
+HELP_S, WARM_S = 0.25, 1.5
+REPEATS = 8
+ONE_CORE = ["taskset", "--cpu-list", "0"] if shutil.which("taskset") else []
+
+
+def one_walk() -> Recording:
+    """A walk of two feet to repeat."""
+    runs = sorted((data_folder() / "stroke_treadmill").glob("*.npz"))
+    if not runs:
+        return read_recording(ROOT / "sim_inputs" / "both_feet_200hz.parquet")
+    tracks, belt_mps = load_run(runs[0])
+    return Recording(runs[0].stem, None, tracks, belt_mps if np.isfinite(belt_mps) else None)
+
+
+def repeated(recording: Recording, minutes: float) -> Recording:
+    """The recording again and again, until ``minutes`` are full."""
+    rate_hz = next(iter(recording.tracks.values())).rate_hz
+    span_ns = round(1e9 * (max(track.duration_s for track in recording.tracks.values()) + 1.0 / rate_hz))
+    times = max(round(60e9 * minutes / span_ns), 1)
+
+    def longer(track: Track) -> Track:
+        later = np.repeat(np.arange(times) * span_ns, len(track.t_ns))
+        return replace(
+            track,
+            t_ns=np.tile(track.t_ns, times) + later,
+            t_sensor_ns=np.tile(track.t_sensor_ns, times) + later,
+            acc_mps2=np.tile(track.acc_mps2, (times, 1)),
+            gyr_radps=np.tile(track.gyr_radps, (times, 1)),
+        )
+
+    return replace(recording, tracks={name: longer(track) for name, track in recording.tracks.items()})
+
+
+def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+    """Least processor time of several runs, in s."""
+    taken = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        work()
+        taken.append(time.process_time() - begin)
+    return min(taken)
+
+
+def every_table(recording: Recording | Path) -> int:
+    """What a user does with arrays or a file, to the last table; how many rows there are."""
+    found = fes.analyse(recording)
+    tables = (found.strides, found.events, found.phases, found.path, found.parameters.table, found.parameters.summary)
+    return sum(len(table) for table in tables)
+
+
+def road_seconds(recording: Recording | Path) -> float:
+    """By the clock, in one pass after one that warms up."""
+    every_table(recording)
+    begin = time.perf_counter()
+    every_table(recording)
+    return time.perf_counter() - begin
+
+
+def stages(recording: Recording) -> dict[str, float]:
+    """Processor time of the parts of an analysis, in s, all feet together."""
+    recording, found = calibrations_of(recording)
+    seconds = dict[str, float]()
+    for sensor, calibration in found.calibrations.items():
+        assert isinstance(calibration, FootCalibration)
+        track = recording.tracks[sensor]
+        data = newer_samples(track)
+        settings = stride_settings(calibration, recording.geometry.get(sensor))
+
+        def follow(calibration: FootCalibration = calibration, settings: Any = settings, data: Any = data) -> Any:
+            return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).track(*data)
+
+        walked, foot = follow(), foot_samples(*data)
+        parts: dict[str, Callable[[], Any]] = {
+            "phases and strides": follow,
+            "rest": lambda d=data: foot_samples(*d),
+            "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), f),
+            "path": lambda t=track, c=calibration, f=foot: ground_path(t, c, foot=f),
+            "toe and heel": lambda w=walked: point_heights(w.paths(), None, level=True),
+            "strides as results, when asked for": lambda w=walked: (w.strides(), w.paths().each()),
+            "events": lambda d=data, c=calibration: find_events(*d, c),
+        }
+        for name, work in parts.items():
+            seconds[name] = seconds.get(name, 0.0) + least(work)
+    return seconds
+
+
+def listed(result: Analysis) -> int:
+    """Make the objects that an analysis leaves as arrays until they are asked for; how many they are."""
+    return len(result.strides) + len(result.phases)
+
+
+def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path | None = None) -> float:
+    """Least processor time of `fes …` with all its processes on one core, in s."""
+    environment = dict(os.environ) | ({"XDG_CACHE_HOME": str(cache)} if cache else {})
+    command = [*ONE_CORE, Path(sys.executable).with_name("fes"), *map(str, arguments)]
+    taken = []
+    for _ in range(repeats):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(command, env=environment, check=True, capture_output=True, cwd=ROOT)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return min(taken)
+
+
+def measure(minutes: float, folder: Path, *, cold: bool) -> list[tuple[str, float, str, float | None]]:
+    """Rows of what, value, unit and bar (None: none), the recording being written to ``folder``."""
+    keep_freed_memory()
+    recording = repeated(one_walk(), minutes)
+    samples = sum(len(track.t_ns) for track in recording.tracks.values())
+    rows: list[tuple[str, float, str, float | None]] = [("samples, both feet", float(samples), "", None)]
+    files = [folder / f"from_{suffix[1:]}{suffix}" for suffix in (".parquet", ".csv")]
+    road, reading = samples / road_seconds(recording), []
+    rows.append(("fes.analyse from arrays, every table, one pass by the clock", road, "samples/s", ROAD_SAMPLES_PER_S))
+    for path in files:
+        write_recording(recording, path)
+        read_recording(path)
+        reading.append(least(lambda path=path: read_recording(path)))
+    road = samples / road_seconds(files[0])
+    rows.append(("fes.analyse from parquet, every table, one pass by the clock", road, "samples/s", None))
+    recording, found = calibrations_of(read_recording(files[0]))
+    analyse(recording, found.calibrations)
+    calibrating = least(lambda: calibrations_of(recording))
+    analysing = least(lambda: analyse(recording, found.calibrations))
+    as_objects = least(lambda: listed(analyse(recording, found.calibrations)))
+    for path, seconds in zip(files, reading, strict=True):
+        whole = seconds + calibrating + analysing
+        bar = SAMPLES_PER_S if path is files[0] else None  # a text's digits alone take a third of what the bar allows
+        rows.append((f"whole pipeline from {path.suffix[1:]}", samples / whole, "samples/s", bar))
+    objects = samples / (reading[0] + calibrating + as_objects)
+    rows.append(("  the same from parquet, strides and phases as objects", objects, "samples/s", None))
+    per = 1e9 / samples
+    rows += [(f"read {path.suffix[1:]}", per * s, "ns/sample", None) for path, s in zip(files, reading, strict=True)]
+    rows += [("calibrate", per * calibrating, "ns/sample", None), ("analyse", per * analysing, "ns/sample", None)]
+    rows += [(f"  {name}", per * seconds, "ns/sample", None) for name, seconds in stages(recording).items()]
+    bare = bare_seconds(recording, found.calibrations)
+    rows.append(("  the same filters in a bare compiled loop", per * bare, "ns/sample", None))
+    rows.append(("analyse over bare loop", analysing / bare, "", BARE_RATIO))
+    trial = ROOT / "sim_inputs" / "both_feet_200hz.parquet"
+    rows.append(("fes --help", command_seconds("--help"), "s", HELP_S))
+    rows.append(("fes analyse, warm", command_seconds("analyse", trial, "--out", folder / "out"), "s", WARM_S))
+    if cold:
+        seconds = command_seconds("analyse", trial, "--out", folder / "out", repeats=1, cache=folder / "cache")
+        rows.append(("fes analyse, cold", seconds, "s", None))
+        environment = dict(os.environ) | {"XDG_CACHE_HOME": str(folder / "another_cache")}
+        command = [Path(sys.executable).with_name("fes"), "analyse", trial, "--out", folder / "out"]
+        begin = time.monotonic()
+        subprocess.run(command, env=environment, check=True, capture_output=True, cwd=ROOT)
+        rows.append(("fes analyse, cold, by the clock, all cores", time.monotonic() - begin, "s", None))
+    return rows
+
+
+def main() -> int:
+    """Measure, print, and say by the exit code whether every bar is met."""
+    parser = argparse.ArgumentParser(description="Speed of the analysis and of starting.")
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of the recording")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--cold", action="store_true", help="also time the first run with an empty compiler cache")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        rows = measure(given.minutes, Path(folder), cold=given.cold)
+    table = Table("what", "figure", "unit", "bar", "met", title=f"Speed, {given.minutes:g} minutes of two feet")
+    missed = 0
+    for what, value, unit, bar in rows:
+        met = bar is None or (value >= bar if unit == "samples/s" else value <= bar)
+        missed += not met
+        table.add_row(
+            what, f"{value:,.4g}", unit, "" if bar is None else f"{bar:,.4g}", "" if bar is None else str(met)
+        )
+    Console().print(table)
+    if given.json:
+        fields = ("what", "value", "unit", "bar")
+        given.json.write_text(json.dumps([dict(zip(fields, row, strict=True)) for row in rows], indent=1), "utf-8")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""A live step: one sample's way from the gate that sees it, through estimator, phases, strides and plan, to commands.
+
+    python benchmarks/speed/speed_live.py
+
+The session is armed as by an operator and stimulates at full intensity, and the garbage collector is off, as it is in a
+live session (``fes/live/realtime.py``). Mean and 99th percentile are by the clock, over the samples of one pass, the
+only one: what other programs did to it is in them. Beside the mean stands this process's processor time in another pass
+without a clock in between. Not part of a step: the driver's codec, the log, the stimulator's line.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.speed.speed_row import Row, print_rows
+from fes.analysis.pipeline import calibrations_of
+from fes.config import load_session
+from fes.control.controller import Controller
+from fes.control.replay import session_for
+from fes.control.runner import armed_after, with_ticks
+from fes.estimation.sensor_choice import shank_phase_sensors
+from fes.estimation.warm_up import warm_up
+from fes.gate import SafetyGate, gate_of
+from fes.recording import Recording
+from fes.recording.tracks import samples_of
+from fes.signals import Event, FloatArray, ImuSample, StrideResult
+
+ROOT = Path(__file__).resolve().parents[2]
+GROUP = "a live step"
+MEAN_US, P99_US = 12.0, 45.0
+
+
+@dataclass(frozen=True)
+class LiveStep:
+    """What one sample takes (µs) by the clock: mean and 99th percentile; and in processor time, the mean.
+
+    ``stride_share`` of the samples end a stride, ``bursts_share`` of the commands have current.
+    """
+
+    mean_us: float
+    p99_us: float
+    processor_us: float
+    stride_share: float
+    bursts_share: float
+
+
+def live_step(recording: Recording) -> LiveStep:
+    """Measure it on a recording of two feet."""
+    recording, found = calibrations_of(recording)
+    session = session_for(recording, load_session(ROOT / "sim_inputs" / "session.toml"))
+    up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
+    source = armed_after(with_ticks(samples_of(recording, set(found.calibrations))), 0.5, 1.0)
+    events = list(source)
+    is_sample = np.array([isinstance(event, ImuSample) for event in events])
+    warm_up()
+
+    def parts() -> tuple[SafetyGate, Controller]:
+        return gate_of(session, up, shank_phase_sensors(found.calibrations)), Controller(session, found.calibrations)
+
+    with _as_in_a_session():
+        taken_us = _clocked_us(events, *parts())[is_sample]
+        spent_s = _spent_s(events, *parts())
+    strides, commands, on = _counts(events, *parts())
+    mean_us, p99_us = float(taken_us.mean()), float(np.percentile(taken_us, 99))
+    samples = len(taken_us)
+    return LiveStep(mean_us, p99_us, 1e6 * spent_s / samples, strides / samples, on / max(commands, 1))
+
+
+def live_rows(named: dict[str, Callable[[], Recording]]) -> list[Row]:
+    """The rows of a table, for each recording."""
+    rows = []
+    for name, recording in named.items():
+        found = live_step(recording())
+        current = f"current in {100 * found.bursts_share:.0f} % of the commands"
+        strides = f"{100 * found.stride_share:.2g} % of the samples end a stride"
+        mean, most = f"live step, mean, {name}", f"live step, 99 %, {name}"
+        rows.append(Row(GROUP, mean, found.mean_us, "µs", MEAN_US, note=f"one pass by the clock; {current}"))
+        rows.append(Row(GROUP, most, found.p99_us, "µs", P99_US, note=f"of the same pass; {strides}"))
+        rows.append(Row(GROUP, f"live step, processor time, {name}", found.processor_us, "µs"))
+    return rows
+
+
+@contextmanager
+def _as_in_a_session() -> Iterator[None]:
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _spent_s(events: list[Event], gate: SafetyGate, controller: Controller) -> float:
+    begin_s = time.process_time()
+    for event in events:
+        gate.observe(event)
+        for request in controller.step(event).requests:
+            gate.judge(event.t_ns, request)
+    return time.process_time() - begin_s
+
+
+def _clocked_us(events: list[Event], gate: SafetyGate, controller: Controller) -> FloatArray:
+    taken = np.zeros(len(events))
+    clock = time.perf_counter_ns
+    for at, event in enumerate(events):
+        begin_ns = clock()
+        gate.observe(event)
+        for request in controller.step(event).requests:
+            gate.judge(event.t_ns, request)
+        taken[at] = clock() - begin_ns
+    return 1e-3 * taken
+
+
+def _counts(events: list[Event], gate: SafetyGate, controller: Controller) -> tuple[int, int, int]:
+    strides = commands = on = 0
+    for event in events:
+        gate.observe(event)
+        decision = controller.step(event)
+        strides += sum(isinstance(outcome, StrideResult) for outcome in decision.outcomes)
+        for request in decision.requests:
+            commands += 1
+            on += gate.judge(event.t_ns, request).on
+    return strides, commands, on
+
+
+def recordings() -> dict[str, Callable[[], Recording]]:
+    """The walk of ``speed.py``, and two minutes of a virtual patient at 500 Hz."""
+    from benchmarks.speed.speed import one_walk
+    from benchmarks.speed.speed_session import RATE_HZ, WALK_S, walk
+
+    first = one_walk()
+    rate_hz = next(iter(first.tracks.values())).rate_hz
+    return {f"2 × {rate_hz:.0f} Hz": lambda: first, f"2 × {RATE_HZ:.0f} Hz": lambda: walk(WALK_S / 3600.0)}
+
+
+def main() -> int:
+    """Measure and print."""
+    return print_rows(live_rows(recordings()), "A live step")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
