@@ -1,12 +1,14 @@
-"""How fast: `fes.analyse` of two feet with every table made, the pipeline and each of its stages, start-up.
+"""How fast: the pipeline of two feet and its stages, start-up, and the user's road, `fes.analyse` to all its tables.
 
     python benchmarks/speed/speed.py [--minutes 10] [--json FILE] [--cold]
 
 The recording is the first run of the stroke-treadmill set, or without that (docs/accuracy.md says where it is from) the
-bundled both_feet_200hz, repeated to ``--minutes``. A foot's sample counts as one. *The user's road* is ``fes.analyse``
-and all of its tables, by the clock and in one pass after one that warms up. The other times are this process's
+bundled both_feet_200hz, repeated to ``--minutes``. A foot's sample counts as one. Times are this process's
 processor time, the least of several runs, so that other programs disturb them little. ``--cold`` also times `fes
 analyse` with an empty compiler cache. What long recordings take ``speed_growth.py`` measures.
+
+*The user's road* (``speed_table.py --only road``) goes by the clock, in one pass after one that warms up: arrays or a
+file in, all tables out. What it costs beside the other libraries' ways ``speed_peers.py`` tells.
 """
 
 from __future__ import annotations
@@ -32,8 +34,10 @@ from rich.table import Table
 import fes
 from benchmarks.accuracy.stroke_treadmill import data_folder, load_run
 from benchmarks.speed.speed_bare import bare_seconds
+from benchmarks.speed.speed_row import Row
 from fes.analysis.ground_path import ground_path
-from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.parameters.gait import gait_parameters
+from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import point_heights
@@ -44,7 +48,7 @@ from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.recording import Recording, Track, read_recording, write_recording
-from fes.recording.chunks import keep_freed_memory
+from fes.recording.chunks import Chunk, keep_freed_memory
 from fes.recording.tracks import newer_samples
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -108,6 +112,41 @@ def road_seconds(recording: Recording | Path) -> float:
     return time.perf_counter() - begin
 
 
+def road_rows(minutes: float, folder: Path) -> list[Row]:
+    """From arrays and from files to all tables, the parts of the way from arrays, and `fes analyse` of a short walk."""
+    keep_freed_memory()
+    recording = repeated(one_walk(), minutes)
+    samples = sum(len(track.t_ns) for track in recording.tracks.values())
+    group, parts = f"fes.analyse of {minutes:g} minutes of two feet, all tables", "of the way from arrays"
+    rows = [Row(group, "samples, both feet", float(samples))]
+    speed = samples / road_seconds(recording)
+    rows.append(Row(group, "from arrays", speed, "samples/s", ROAD_SAMPLES_PER_S, higher=True))
+    for suffix, bar in ((".parquet", ROAD_SAMPLES_PER_S), (".csv", None)):
+        path = folder / f"from_{suffix[1:]}{suffix}"
+        write_recording(recording, path)
+        speed = samples / road_seconds(path)
+        rows.append(Row(group, f"from {suffix[1:]}", speed, "samples/s", bar, higher=True))
+    times = [time.perf_counter()]
+    found = calibrations_of_chunks([Chunk(recording)])
+    times.append(time.perf_counter())
+    (analysis,) = analyse_chunks([Chunk(recording)], found.calibrations)
+    times.append(time.perf_counter())
+    gait_parameters(analysis)
+    times.append(time.perf_counter())
+    analysis.tables()
+    times.append(time.perf_counter())
+    names = ("calibration", "tracking, events, path", "gait parameters", "tables")
+    rows += [Row(parts, name, 1e9 * s / samples, "ns/sample") for name, s in zip(names, np.diff(times), strict=True)]
+    trial = ROOT / "sim_inputs" / "both_feet_200hz.parquet"
+    command = [Path(sys.executable).with_name("fes"), "analyse", trial, "--out", folder / "out"]
+    for _ in range(2):  # the first one warms up
+        begin = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
+        seconds = time.perf_counter() - begin
+    rows.append(Row("first result", "fes analyse with its report, warm", seconds, "s", WARM_S))
+    return rows
+
+
 def stages(recording: Recording) -> dict[str, float]:
     """Processor time of the parts of an analysis, in s, all feet together."""
     recording, found = calibrations_of(recording)
@@ -161,14 +200,11 @@ def measure(minutes: float, folder: Path, *, cold: bool) -> list[tuple[str, floa
     samples = sum(len(track.t_ns) for track in recording.tracks.values())
     rows: list[tuple[str, float, str, float | None]] = [("samples, both feet", float(samples), "", None)]
     files = [folder / f"from_{suffix[1:]}{suffix}" for suffix in (".parquet", ".csv")]
-    road, reading = samples / road_seconds(recording), []
-    rows.append(("fes.analyse from arrays, every table, one pass by the clock", road, "samples/s", ROAD_SAMPLES_PER_S))
+    reading = []
     for path in files:
         write_recording(recording, path)
         read_recording(path)
         reading.append(least(lambda path=path: read_recording(path)))
-    road = samples / road_seconds(files[0])
-    rows.append(("fes.analyse from parquet, every table, one pass by the clock", road, "samples/s", None))
     recording, found = calibrations_of(read_recording(files[0]))
     analyse(recording, found.calibrations)
     calibrating = least(lambda: calibrations_of(recording))

@@ -1,11 +1,12 @@
-"""One table of speed: the analysis and its stages, a live step, start-up, growth, an hour's session, a cohort, peers.
+"""One table of speed: the user's road, stages, start-up, a live step, growth, an hour's session, a cohort, peers.
 
     make bench                                             (both environments, then this with --keep)
     python benchmarks/speed/speed_table.py --quick   everything shorter: a few minutes
     python benchmarks/speed/speed_table.py --keep    also into benchmarks/results/, a file a part, for `make figures`
 
-Times are processor times, the least of several, so that other programs disturb them little; what counts by the clock
-says so. Peers run in an environment of their own (`make peers`). The exit code is 1 if a bar is missed.
+The user's road goes by the clock, in one pass. Other times are processor times, the least of several, so that other
+programs disturb them little; what counts by the clock says so. Peers run in an environment of their own (`make
+peers`). The exit code is 1 if a bar is missed.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from benchmarks.speed.speed_session import session_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 BUSY = 0.15  # processors that others take: from there on what counts by the clock counts little
-PARTS = ("analysis", "live", "peers", "growth", "session", "cohort")
+PARTS = ("road", "analysis", "live", "peers", "growth", "session", "cohort")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -58,6 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     with TemporaryDirectory(prefix="fes-speed-") as name:
         quick = given.quick
         measured: dict[str, Callable[[Path], list[Row]]] = {
+            "road": lambda folder: speed.road_rows(1.0 if quick else 10.0, folder),
             "analysis": lambda folder: analysis_rows(1.0 if quick else 10.0, folder, cold=not quick),
             "live": lambda _: live_rows(recordings()),
             "peers": lambda _: peer_rows(speed.one_walk(), given.peers, live_step(speed.one_walk()).mean_us),
