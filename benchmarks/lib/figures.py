@@ -221,7 +221,7 @@ LONG: dict[str, Sequence[str]] = {
     "witness-sound": ("safety/witness.py", "--lies"),
     **{
         f"speed-{part}": ("speed/speed_table.py", "--only", part)
-        for part in ("road", "analysis", "live", "peers", "growth", "session", "cohort")
+        for part in ("analysis", "live", "peers", "growth", "session", "cohort")
     },
 }
 ELSEWHERE = {"hil": "make hil"}  # hours, by a command of its own
