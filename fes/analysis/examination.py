@@ -84,7 +84,7 @@ def sensor_findings(result: Analysis, anew: Callable[[Recording], Analysis]) -> 
             sound = None
     found: list[Finding] = []
     for sensor, track in result.raw.items():
-        found += _frozen(sensor, track)
+        found += _as_read(sensor, track)
     for sensor, lies in result.corrections.items():
         found += [_finding(sensor, lie, result, None, result.uncorrected, done=True) for lie in lies]
     for sensor, each in told.items():
@@ -149,7 +149,8 @@ def _effects(as_read: Mapping[str, float], mended: Mapping[str, float]) -> Itera
         yield f"{as_read['strides']:.0f} strides measured as read, {mended['strides']:.0f} without it"
 
 
-def _frozen(sensor: str, track: Track) -> Iterator[Finding]:
+def _as_read(sensor: str, track: Track) -> Iterator[Finding]:
+    """What its samples tell by themselves."""
     frozen = frozen_rows(track)
     if frozen.any():
         begins = int(np.count_nonzero(np.diff(frozen.astype(np.int8)) == 1))
@@ -163,6 +164,10 @@ def _frozen(sensor: str, track: Track) -> Iterator[Finding]:
         cause = f"the gyroscope reads exactly 0 below {math.degrees(band):.1f} deg/s, a dead band"
         text = f"Sensor {_name(sensor)}: {cause}."
         yield Finding("info", text, code="dead_band", sensor=sensor, cause=cause)
+    if count := track.quality.repaired:
+        cause = f"{count} single time stamp{'s' if count > 1 else ''} far from the others, put between the neighbours"
+        text = f"Sensor {_name(sensor)}: {cause}. Check the sensor's clock."
+        yield Finding("warning", text, code="stamps", sensor=sensor, cause=cause, remedy="check the sensor's clock")
 
 
 def _upper(text: str) -> str:

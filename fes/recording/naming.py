@@ -163,6 +163,16 @@ def group_columns(names: list[str]) -> list[Group]:
     return sorted(chosen, key=lambda group: order.index(group.sensor))
 
 
+def axis_columns(names: list[str]) -> dict[str, str]:
+    """Axis → column of a file that holds one triad, and so need not say which: ``x``, ``X (m/s^2)``, ``x-axis (g)``."""
+    found: dict[str, str] = {}
+    for name in names:
+        axis = _AXIS.search(_UNIT.sub(" ", plain(name)).strip())
+        if axis:
+            found.setdefault(axis.group(1) or axis.group(2), name)
+    return found
+
+
 def _kind(words: str) -> str:
     if _OTHER.search(words):
         return ""

@@ -1,7 +1,7 @@
 """One sensor's rows as the file has them: finite, lost samples set aside, time stamps judged; units not yet applied."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +9,15 @@ import numpy.typing as npt
 
 from fes.estimation.numerics.ranks import median
 from fes.recording.csv_layout import Dialect
+from fes.recording.several_files import joined_table
 from fes.recording.sidecar import Sensor, Sidecar
+from fes.recording.stamps import GAP_INTERVALS, MAX_BACKWARD_JUMP_NS, refuse_wild_clock, repaired
 from fes.recording.table import Table, greatest_size
 from fes.recording.tracks import RecordingError, TrackQuality
 from fes.recording.units import TIME_UNITS_NS, time_factor_ns
 from fes.recording.write import toml_value
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
-MAX_BACKWARD_SHARE = 0.05
-MAX_BACKWARD_JUMP_NS = NS_PER_S
 LATE_ROWS, LATE_SHARE = 300, 0.05  # at most so many of the last rows may be left out, …
 MIN_DURATION_S = 1.0
 RATE_TOLERANCE = 0.02
@@ -62,7 +62,7 @@ def judge_stamps(
     if forward.size == 0:
         raise RecordingError(f"{where}: its time never advances; check time_column")
     if backward.size:
-        _refuse_wild_clock(steps, backward, where, place)
+        refuse_wild_clock(steps, backward, where, place)
     usual_ns = median(forward) if shortest < longest else float(shortest)  # stamps made from a rate are often even
     _refuse_impossible_rate(NS_PER_S / usual_ns, where, unit)
     if stated_hz is not None:  # it must fit the usual interval or, where stamps bunch, the mean one
@@ -75,33 +75,17 @@ def judge_stamps(
                     f"{mean_hz:.4g} Hz on average). Correct rate_hz, time_unit, or leave rate_hz out."
                 )
         usual_ns = NS_PER_S / stated_hz
-    if 0.5 * usual_ns <= shortest and longest <= 1.5 * usual_ns:  # the usual case: nothing to count
+    if 0.5 * usual_ns <= shortest and longest <= GAP_INTERVALS * usual_ns:  # the usual case: nothing to count
         return stated_hz or NS_PER_S / usual_ns, TrackQuality(stamps_ns.size)
     gaps = steps
     if backward.size:
         ordered = np.sort(stamps_ns)
         gaps = ordered[1:] - ordered[:-1]
-    missing = int(np.sum(np.rint(gaps[gaps > 1.5 * usual_ns] / usual_ns) - 1))
+    missing = int(np.sum(np.rint(gaps[gaps > GAP_INTERVALS * usual_ns] / usual_ns) - 1))
     irregular = int(np.count_nonzero(np.abs(steps - usual_ns) > 0.5 * usual_ns))
     doubled = int(np.count_nonzero(steps == 0))
     quality = TrackQuality(stamps_ns.size, missing, doubled, int(backward.size), irregular)
     return stated_hz or NS_PER_S / usual_ns, quality
-
-
-def _refuse_wild_clock(steps: IntArray, backward: IntArray, where: str, place: Callable[[int], str]) -> None:
-    furthest = int(backward[np.argmin(steps[backward])])
-    back_s = -float(steps[furthest]) / NS_PER_S
-    if back_s > MAX_BACKWARD_JUMP_NS / NS_PER_S:
-        raise RecordingError(
-            f"{where}: {place(furthest + 1)}: the clock jumps back {back_s:.3f} s. "
-            f"If two recordings follow each other there, split the file; if the clock restarted, correct its times."
-        )
-    if backward.size > MAX_BACKWARD_SHARE * steps.size:
-        raise RecordingError(
-            f"{where}: time goes backward {backward.size} times in {steps.size + 1} samples, first at "
-            f"{place(int(backward[0]) + 1)}; at most {MAX_BACKWARD_SHARE:.0%} can be handled. "
-            f"Sort the rows by time, or leave time_column out and state rate_hz."
-        )
 
 
 def _refuse_impossible_rate(rate_hz: float, where: str, unit: str | float) -> None:
@@ -126,7 +110,7 @@ class RawTrack:
 
     ``stamps_ns`` holds the times of all rows that have one, those of lost samples included; ``place`` tells where a
     stamp stands in the file. ``t_arrival_ns`` is None where nothing but the stamps tells when samples came.
-    ``greatest`` are the greatest sizes of a number in ``acc`` and in ``gyr``.
+    ``greatest`` are the greatest sizes of a number in ``acc`` and in ``gyr``; ``repaired``: how many stamps were.
     """
 
     t_sensor_ns: IntArray
@@ -136,6 +120,7 @@ class RawTrack:
     stamps_ns: IntArray
     place: Callable[[int], str]
     greatest: tuple[float, float]
+    repaired: int = 0
 
 
 def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, RawTrack]:
@@ -149,8 +134,14 @@ def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, Ra
     raw: dict[str, RawTrack] = {}
     for file in dict.fromkeys(columns.file for columns in sidecar.sensors.values()):
         sensors = [sensor for sensor, columns in sidecar.sensors.items() if columns.file == file]
-        table = Table(path.with_name(file) if file else path, *_columns(sidecar_path, sidecar, sensors))
-        raw |= {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
+        source = path.with_name(file) if file else path
+        whole = [sensor for sensor in sensors if not sidecar.sensors[sensor].gyr_file]
+        if whole:
+            table = Table(source, *_columns(sidecar_path, sidecar, whole))
+            raw |= {sensor: raw_track(table, sidecar, sensor) for sensor in whole}
+        for sensor in (sensor for sensor in sensors if sensor not in whole):
+            table, described, count = joined_table(source, sidecar, sensor)
+            raw[sensor] = replace(raw_track(table, described, sensor), repaired=count)
     return _in_one_turn(raw, sidecar)
 
 
@@ -180,7 +171,7 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
     for table in Table.parts(path, wanted, rows, dialect):
         found: dict[str, RawTrack] = {}
         for sensor in sensors:
-            raw = _raw_track(table, sidecar, sensor, silent=True)
+            raw = raw_track(table, sidecar, sensor, silent=True)
             if raw.t_sensor_ns.size:
                 found[sensor] = raw
         del table, raw  # who clears what is yielded lets go of the file's columns too
@@ -197,12 +188,15 @@ def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tup
     confused = [name for name in time_names if name in values]
     if confused:
         raise RecordingError(f"{sidecar_path}: column {confused[0]!r} is named as a time and as a measurement")
-    dialect = Dialect(**{field.name: getattr(sidecar, field.name) for field in fields(Dialect)})
-    return time_names + values, time_names, dialect
+    return time_names + values, time_names, sidecar.dialect
 
 
-def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool = False) -> RawTrack:
-    """``silent``: it may be that all of its cells are empty."""
+def raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool = False) -> RawTrack:
+    """A sensor's rows of a table; ``silent``: it may be that all of its cells are empty.
+
+    Raises:
+        RecordingError: as of :func:`read_table`.
+    """
     columns = sidecar.sensors[sensor]
     names = (*columns.acc, *columns.gyr)
     where = f"{table.path}: {sensor}"
@@ -235,17 +229,22 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
     arrival = None
     if columns.arrival_column:
         arrival = table.times_ns(columns.arrival_column, time_factor_ns(sidecar.time_unit_of(sensor), None))
-    stamped = stamps
     place: Callable[[int], str] = table.place
-    if empty is not None:
+    if empty is None:
+        stamped, count = repaired(stamps)
+        stamps = stamped
+    else:
         with_time = np.flatnonzero(~empty)
-        stamped, place = stamps[with_time], lambda index: table.place(int(with_time[index]))
+        stamped, count = repaired(stamps[with_time])
+        stamps = stamps.copy()
+        stamps[with_time] = stamped
+        place = lambda index: table.place(int(with_time[index]))  # noqa: E731
     if kept is not None:
         if not kept.size and not silent:
             raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
         stamps = stamps[kept]
         arrival = None if arrival is None else arrival[kept]
-    return RawTrack(stamps, arrival, acc, gyr, stamped, place, greatest)
+    return RawTrack(stamps, arrival, acc, gyr, stamped, place, greatest, count)
 
 
 def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArray[np.bool_] | None:

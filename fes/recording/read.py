@@ -20,6 +20,7 @@ from fes.recording.raw import (
     read_parts,
     read_table,
 )
+from fes.recording.several_files import is_zip
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.table import TABLE_SUFFIXES, Table, is_parquet
 from fes.recording.template import sidecar_template
@@ -77,7 +78,7 @@ def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterato
 def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, whole_s: float) -> int:
     """How many rows make a part; 0 where all is one, or has to be read at once."""
     columns = sidecar.sensors.values()
-    if not is_parquet(path) or sidecar.can is not None or any(each.file for each in columns):
+    if not is_parquet(path) or sidecar.can is not None or any(each.file or each.gyr_file for each in columns):
         return 0
     if len({(sidecar.time_of(sensor), sidecar.time_unit_of(sensor)) for sensor in sidecar.sensors}) > 1:
         return 0
@@ -99,19 +100,23 @@ def _described(path: Path) -> tuple[Path, Path, Sidecar]:
     """A recording's file, its sidecar's path and what that says."""
     path = Path(path)
     formats = (
-        f"{', '.join(TABLE_SUFFIXES + CAN_SUFFIXES)}, .xdf, .h5, or text with rows of numbers under any other name"
+        f"{', '.join(TABLE_SUFFIXES + CAN_SUFFIXES)}, .xdf, .h5, a phone's .zip or folder, or text with rows of "
+        "numbers under any other name"
     )
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "is not there"
-        raise RecordingError(f"{path}: {what}. Name a recording's file: {formats}.")
+    if not path.exists() or not (path.is_file() or path.is_dir()):
+        raise RecordingError(f"{path}: is {'no file' if path.exists() else 'not there'}. Name a recording: {formats}.")
     suffix = path.suffix.lower()
+    several = path.is_dir() or is_zip(path)
     if suffix == ".toml" or not (
-        suffix in TABLE_SUFFIXES + CAN_SUFFIXES or is_parquet(path) or container_of(path) or has_rows(path)
+        several or suffix in TABLE_SUFFIXES + CAN_SUFFIXES or is_parquet(path) or container_of(path) or has_rows(path)
     ):
         raise RecordingError(
             f"{path}: is none of the formats read here ({formats}). Name the data file, not its sidecar."
         )
     sidecar_path = path.with_suffix(".toml")
+    if path.is_dir():  # a point in its name begins no suffix
+        path = path if path.name.strip(".") else path.resolve()
+        sidecar_path = path.with_name(f"{path.name}.toml")
     empty = sidecar_path.is_file() and sidecar_path.stat().st_size == 0
     if empty or not sidecar_path.exists():
         raise SidecarMissingError(
@@ -186,10 +191,17 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Jud
     ranges = columns.acc_range, columns.gyr_range
     for values, size, factor, full_scale in zip((acc, gyr), raw.greatest, factors, ranges, strict=True):
         bound = math.inf if full_scale is None else CLIPPED_FROM * full_scale
-        if size * factor >= bound:
+        if size * abs(factor) >= bound:
             clipped |= (np.abs(values) >= bound).any(axis=1)
     missing = found.missing + raw.stamps_ns.size - raw.t_sensor_ns.size
-    quality = replace(found, samples=len(acc), missing=missing, clipped=int(np.count_nonzero(clipped)), late=late)
+    quality = replace(
+        found,
+        samples=len(acc),
+        missing=missing,
+        clipped=int(np.count_nonzero(clipped)),
+        late=late,
+        repaired=raw.repaired,
+    )
     arrival = newest_ns if raw.t_arrival_ns is None else np.maximum.accumulate(raw.t_arrival_ns)
     if before is not None:
         arrival, rate_hz = np.maximum(arrival, before.t_ns), before.rate_hz

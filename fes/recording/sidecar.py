@@ -1,12 +1,14 @@
 """The sidecar: ``walk.toml`` beside ``walk.csv`` says which columns are which sensor's, in which units."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from fes.config import Foot, FootGeometry, Ground, Positive, Settings, explain, read_toml
+from fes.recording.csv_layout import Dialect
 from fes.recording.tracks import RecordingError
 from fes.recording.units import SAMPLES, AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor
 from fes.signals import G_MPS2
@@ -57,15 +59,26 @@ class SensorColumns(Settings):
     gyr_range_dps: Positive | None = None
     mounting: Mounting | None = None
     file: str | None = None  # of its own, beside the recording's
+    acc_file: str | None = None  # where the two triads are files of their own: in the folder or zip, or beside
+    gyr_file: str | None = None
+    gyr_time_column: str | None = None  # where it is called otherwise than the accelerometer's
+    gravity_file: str | None = None  # whose columns of the same names are added to acc
+    acc_sign: Literal[1, -1] = 1  # -1: at rest the axis that points up reads -1 g
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
-        if self.file is not None and (not self.file or Path(self.file).name != self.file):
-            raise ValueError(f"file = {self.file!r} must be the name of a file that lies beside the sidecar")
-        names = (*self.acc, *self.gyr)
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"column {twice[0]!r} is named twice; acc and gyr are six different columns")
+        for key in ("file", "acc_file", "gyr_file", "gravity_file"):
+            name = getattr(self, key)
+            if name is not None and (name in ("", ".", "..") or set(name) & set("/\\:")):
+                raise ValueError(
+                    f"{key} = {name!r} must be the name alone of a file beside the sidecar, or in the folder or zip"
+                )
+        if (self.acc_file or self.gravity_file or self.gyr_time_column) and not self.gyr_file:
+            raise ValueError("gyr_file is missing: the file that holds the gyroscope")
+        for names in (self.acc, self.gyr) if self.gyr_file else ((*self.acc, *self.gyr),):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise ValueError(f"column {twice[0]!r} is named twice; acc and gyr are six different columns")
         for one, other in (("acc_range_mps2", "acc_range_g"), ("gyr_range_radps", "gyr_range_dps")):
             if getattr(self, one) and getattr(self, other):
                 raise ValueError(f"{one} and {other} are both given; keep one")
@@ -119,12 +132,15 @@ class Sidecar(Settings):
             raise ValueError("names no sensor; give at least one table such as [sensors.left_foot]")
         if self.delimiter == self.decimal:
             raise ValueError('delimiter and decimal are both ","; one of them must be another')
-        owner: dict[tuple[str | None, str], str] = {}
+        owner: dict[tuple[str | None, ...], str] = {}
         for sensor, columns in self.sensors.items():
-            for name in (*columns.acc, *columns.gyr):
-                if (columns.file, name) in owner:
-                    raise ValueError(f"column {name!r} is given to {owner[columns.file, name]} and to {sensor}")
-                owner[columns.file, name] = sensor
+            acc = [(columns.file, columns.acc_file, name) for name in columns.acc]
+            for place in (*acc, *((columns.file, columns.gyr_file, name) for name in columns.gyr)):
+                if place in owner:
+                    raise ValueError(f"column {place[-1]!r} is given to {owner[place]} and to {sensor}")
+                owner[place] = sensor
+            if columns.gyr_file and not self.time_of(sensor):
+                raise ValueError(f"{sensor} is of two files, which only times bring together: say time_column = …")
             for key, allowed in (("acc_unit", '"m/s^2" or "g"'), ("gyr_unit", '"rad/s" or "deg/s"')):
                 if getattr(columns, key) is None and getattr(self, key) is None:
                     raise ValueError(f"{key} is missing for {sensor}; say {key} = {allowed} at the top")
@@ -134,6 +150,11 @@ class Sidecar(Settings):
             if self.time_of(sensor) and self.time_unit_of(sensor) == SAMPLES and not self.rate_of(sensor):
                 raise ValueError(f'{sensor}: time_unit = "samples" needs rate_hz: how many come in a second')
         return self
+
+    @property
+    def dialect(self) -> Dialect:
+        """How the text of its CSV files is laid out."""
+        return Dialect(**{field.name: getattr(self, field.name) for field in fields(Dialect)})
 
     def time_of(self, sensor: Sensor) -> str | None:
         """The sensor's time column."""
@@ -160,8 +181,9 @@ class Sidecar(Settings):
         return self.sensors[sensor].gyr_unit or self.gyr_unit or "rad/s"
 
     def factors_of(self, sensor: Sensor) -> tuple[float, float]:
-        """(m/s² per accelerometer unit, rad/s per gyroscope unit)."""
-        return acc_factor(self.acc_unit_of(sensor)), gyr_factor(self.gyr_unit_of(sensor))
+        """(m/s² per accelerometer unit, with its sign, rad/s per gyroscope unit)."""
+        sign = self.sensors[sensor].acc_sign
+        return sign * acc_factor(self.acc_unit_of(sensor)), gyr_factor(self.gyr_unit_of(sensor))
 
 
 def reword_sidecar_fault(fault: Mapping[str, Any], location: tuple[int | str, ...]) -> str:

@@ -54,6 +54,13 @@ class Table:
             raise RecordingError(f"{path}: holds a header and no samples")
 
     @classmethod
+    def of_columns(cls, path: Path, table: pa.Table) -> Table:
+        """Columns that are there already; ``path`` is where they are from, for messages."""
+        part = cls.__new__(cls)
+        part.path, part.is_csv, part._dialect, part._container = path, False, Dialect(), ""
+        return part._rows_from(table, 0)
+
+    @classmethod
     def parts(cls, path: Path, wanted: list[str], rows: int, dialect: Dialect) -> Iterator[Table]:
         """A Parquet file's tables of so many rows each, the last of what is left; no more is read than is asked for.
 

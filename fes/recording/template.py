@@ -3,7 +3,7 @@
 What nothing tells is not guessed: it stands as “?”, and reading refuses it until someone has answered.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from fes.recording.containers import container_of, container_table
 from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
 from fes.recording.naming import Group, counter_columns, group_columns, stated_unit, time_columns
 from fes.recording.raw import RATE_TOLERANCE
+from fes.recording.several_files import acc_sign_of, companion_files, is_zip, opened
 from fes.recording.table import Table, is_parquet, unwrapped
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GRAVITY_GONE, GYR_UNITS, time_factor_ns
@@ -33,6 +34,8 @@ def sidecar_template(path: Path) -> str:
     """
     if path.suffix.lower() in CAN_SUFFIXES:
         return _can_template(path)
+    if path.is_dir() or is_zip(path):
+        return _several_template(path)
     if container_of(path):
         table, units = container_table(path)
         layout = Layout(Dialect(), table.column_names, units, [], set(table.column_names))
@@ -42,6 +45,8 @@ def sidecar_template(path: Path) -> str:
     else:
         layout = csv_layout(path)
     groups = group_columns(layout.names)
+    if not groups[0].whole and companion_files(path):
+        return _several_template(path)
     why = _place(path, layout, groups)
     times = [name for name in (*time_columns(layout.names), *counter_columns(layout.names)) if name in layout.filled]
     numbers = _characterised(path, layout, groups[0])
@@ -92,11 +97,68 @@ def _characterised(path: Path, layout: Layout, group: Group) -> hints.Numbers | 
     values = [*group.names("acc"), *group.names("gyr")]
     try:
         table = Table(path, values, [], layout.dialect)
-        data = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
-        data = data[np.isfinite(data).all(axis=1)]
-        return hints.characterise(data) if len(data) else None
+        return _characterised_data(np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values]))
     except (RecordingError, ValueError, IndexError):
         return None
+
+
+def _characterised_data(data: FloatArray) -> hints.Numbers | None:
+    data = data[np.isfinite(data).all(axis=1)]
+    return hints.characterise(data) if len(data) else None
+
+
+def _several_template(path: Path) -> str:
+    """Of a sensor whose accelerometer and gyroscope are files of their own."""
+    with opened(path) as (folder, files):
+        acc_path, gyr_path = folder / files.acc, folder / files.gyr
+        layout, of_gyr = csv_layout(acc_path), csv_layout(gyr_path)
+        group = Group({"acc": hints.axis_columns(layout.names), "gyr": hints.axis_columns(of_gyr.names)})
+        times, gyr_times = ([n for n in time_columns(each.names) if n in each.filled] for each in (layout, of_gyr))
+        lines = _time_lines(acc_path, layout, times)
+        own = group.names("acc"), group.names("gyr")
+        numbers = None
+        if group.whole:
+            data = _triad_data(acc_path, own[0], layout)
+            others = [(gyr_path, own[1], of_gyr)]
+            others += [(folder / files.gravity, own[0], layout)] if files.gravity else []
+            gyr, *gravity = (_spread(_triad_data(*each), len(data)) for each in others)
+            numbers = _characterised_data(np.hstack((sum(gravity, data), gyr))[:_PROBE_ROWS])
+        sensor_logger = "seconds_elapsed" in layout.names
+        sign = acc_sign_of(folder) if sensor_logger and files.acc != files.names.get("total") else 1
+        without = sensor_logger and files.acc == files.names.get("acc") and not files.gravity
+    if numbers and (numbers.subtracted or without) and not hints.acc_unit_of(numbers):
+        how = "In Sensor Logger switch on Gravity (or Total Acceleration) beside Accelerometer and Gyroscope"
+        raise RecordingError(f"{path}: {files.acc}: {GRAVITY_GONE}{f'. {how}' if sensor_logger else ''}")
+    units = dict.fromkeys(own[1], "rad/s") if sensor_logger else of_gyr.units
+    why = _place(path, layout, [group])
+    named = {"acc_file": files.acc, "gravity_file": files.gravity, "gyr_file": files.gyr}
+    about = [f"# {path.name}: accelerometer and gyroscope are files of their own, which become one on one clock."]
+    return "\n".join([
+        *about, "", *(f"{key} = {toml_value(value)}" for key, value in settings_of(layout.dialect).items()), *lines,
+        _acc_line(layout, group, numbers), _gyr_line(replace(of_gyr, units=units), group, numbers), "",
+        f"[sensors.{group.sensor}]{why.get(1, '')}" if group.sensor else f'[sensors."?"]  # {_WHICH}',
+        *(f"{key} = {toml_value(name)}" for key, name in named.items() if name),
+        *(f"{kind} = {toml_value(names)}" for kind, names in zip(("acc", "gyr"), own, strict=True)),
+        *([] if times[:1] == gyr_times[:1] else [f"gyr_time_column = {toml_value((gyr_times or ['?'])[0])}"]),
+        *_sign_lines(sign), "",
+    ])  # fmt: skip
+
+
+def _sign_lines(sign: int | None) -> list[str]:
+    if sign is None:
+        return ['acc_sign = "?"  # ? -1 of an iPhone, 1 of Android: Metadata.csv, which tells, is not there']
+    return [] if sign == 1 else ["acc_sign = -1  # an iPhone's, by Metadata.csv: the axis that points up reads -1 g"]
+
+
+def _triad_data(path: Path, names: list[str], layout: Layout) -> FloatArray:
+    table = Table(path, names, [], layout.dialect)
+    return np.column_stack([table.numbers(name) for name in names])
+
+
+def _spread(data: FloatArray, rows: int) -> FloatArray:
+    """As many rows over the same time, roughly: enough to tell units by."""
+    chosen = np.linspace(0, len(data) - 1, rows).round().astype(np.int64)
+    return data[chosen]
 
 
 def _own_times(groups: list[Group], times: list[str]) -> list[list[str]]:

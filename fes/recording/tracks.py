@@ -40,6 +40,7 @@ class TrackQuality:
         backward: samples stamped earlier than the one before.
         irregular: intervals more than 50 % away from the usual (median) interval.
         clipped: samples with at least one axis at its range; 0 where the ranges are unknown.
+        repaired: single wrong stamps that were put between their neighbours.
         late: samples left out at the end of the file, where the clock had gone back; they are not in the track.
     """
 
@@ -50,6 +51,7 @@ class TrackQuality:
     irregular: int = 0
     clipped: int = 0
     late: int = 0
+    repaired: int = 0
 
 
 @dataclass(frozen=True, eq=False)
