@@ -111,3 +111,7 @@ class WalkRecord:
     own_ns: tuple[int, int] | None = None
     live: tuple[list[PhaseChange], list[StrideResult]] | None = None
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.strides)} strides, {len(self.phases)} phase changes, {len(self.commands)} commands"
+        return f"{type(self).__name__} of {', '.join(self.samples) or 'no sensor'}: {counts}"

@@ -39,6 +39,9 @@ class GroundPath:
     stance_ns: IntArray  # (M,) the quietest instant of every stance
     seen_ns: IntArray  # (P, 2) where it begins and ends, and begins again after a gap, from where it was
 
+    def __repr__(self) -> str:
+        return f"GroundPath {self.foot}: {self.distance_m:.2f} m, ends {self.closure_m:.2f} m from its start"
+
     @property
     def closure_m(self) -> float:
         """Horizontal distance of the end from the start: the error, for who returned to where he set out."""

@@ -20,7 +20,7 @@ from fes.signals import NS_PER_S, FloatArray, IntArray
 FARTHEST_NS = 250_000_000  # an off-line event farther away is another one
 CAUSAL_EVENT_COLUMNS = (
     Column("foot", str, "", "the foot's sensor"),
-    Column("rule", str, "", "instants: ours; peaks: as printed", "Kumar et al. 2015"),
+    Column("rule", str, "", "instants: ours; peaks: as printed; else a rule of your own", "Kumar et al. 2015"),
     Column("event", str, "", "IC, initial contact, or FO, foot off"),
     Column("t_known_s", float, "s", "when the decision was made"),
     Column("t_feature_s", float, "s", "when the feature was on which it rests, never later"),
@@ -55,15 +55,14 @@ class CausalEvents:
     def __post_init__(self) -> None:
         self._machines = {rule: OnlineEvents(self.calibration, rule) for rule in Rule}
 
-    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[tuple[Rule, Decision]]:
+    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[tuple[str, Decision]]:
         """Decisions on the next samples (N,), (N, 3), (N, 3); arguments as for ``OnlineEvents.advance``."""
         samples = t_ns, acc_mps2, gyr_radps
-        return [(rule, decision) for rule, events in self._machines.items() for decision in events.advance(*samples)]
+        found = self._machines.items()
+        return [(rule.name.lower(), decision) for rule, events in found for decision in events.advance(*samples)]
 
 
-def causal_event_rows(
-    foot: str, decisions: Iterable[tuple[Rule, Decision]], events: GaitEvents
-) -> list[dict[str, Any]]:
+def causal_event_rows(foot: str, decisions: Iterable[tuple[str, Decision]], events: GaitEvents) -> list[dict[str, Any]]:
     """One flat row per IC and FO decided, with the off-line event beside it; columns ``CAUSAL_EVENT_COLUMNS``."""
     offline = {OnlineEvent.IC: events.ic_ns, OnlineEvent.FO: events.fo_ns}
     rows = []
@@ -77,6 +76,6 @@ def causal_event_rows(
             times = (decision.t_ns, decision.t_feature_ns, nearest_ns, delay_ns)
             seconds = (None if t_ns is None else t_ns / NS_PER_S for t_ns in times)
             names = (column.name for column in CAUSAL_EVENT_COLUMNS)
-            values = (foot, rule.name.lower(), decision.event.name, *seconds)
+            values = (foot, rule, decision.event.name, *seconds)
             rows.append(dict(zip(names, values, strict=True)))
     return sorted(rows, key=lambda row: (row["t_known_s"], row["rule"]))

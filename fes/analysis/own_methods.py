@@ -1,8 +1,11 @@
-"""A detector or a stride method of somebody else in place of this program's own, in a finished analysis.
+"""A detector, a stride method or an event rule of somebody else, in a finished analysis.
 
 A detector is ``detector(track, calibration)`` → ``{"FO": (K,), "IC": (L,)}``, foot off and initial contact in s from
 the track's first sample. A stride method is ``method(track, calibration, t_start_s, t_end_s)`` → stride lengths (M,)
-in m of the strides between these times (M,), NaN where it knows none. ``track`` and ``calibration`` are a
+in m of the strides between these times (M,), NaN where it knows none. An event rule is ``rule(calibration)`` → a
+function that gets sample after sample, ``(t_s, acc_mps2 (3,), gyr_radps (3,))``, and says "FO", "IC" or None: it cannot
+look ahead.
+``track`` and ``calibration`` are a
 :class:`fes.recording.Track` and what :func:`fes.calibrate` found for its sensor.
 """
 
@@ -14,12 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from fes.analysis.results import Analysis
+from fes.estimation.events.causal import Decision, OnlineEvent
 from fes.estimation.events.offline import GaitEvents
 from fes.extensions import ExtensionError, load_extension
 from fes.recording import Track
+from fes.recording.chunks import NEVER_NS
+from fes.recording.tracks import newer_samples
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 
 Detector = Callable[[Track, Any], Mapping[str, npt.ArrayLike]]
+EventRule = Callable[[Any], Callable[[float, FloatArray, FloatArray], str | None]]
 StrideMethod = Callable[[Track, Any, FloatArray, FloatArray], npt.ArrayLike]
 UNKNOWN_LENGTH = "the stride method gave no length"
 
@@ -28,23 +35,57 @@ def with_own_methods(
     analyses: Iterable[Analysis],
     detector: str | Detector | None = None,
     stride_method: str | StrideMethod | None = None,
+    event_rule: EventRule | None = None,
 ) -> Iterator[Analysis]:
     """The analyses with events and stride lengths by these functions, or entry points' names; None keeps our own.
 
-    Phases, the path and clearance stay as they are: they do not rest on the events found off-line.
+    Phases, the path and clearance stay as they are: they do not rest on the events found off-line. What an event rule
+    says is put beside those events, with its delay.
 
     Raises:
         ExtensionError: there is no such part, or what it gave is no such result.
     """
     find, found_by = _part("detector", detector)
     measure, measured_by = _part("stride method", stride_method)
+    rules: dict[str, _RunningRule] = {}
     for analysis in analyses:
         found = analysis
         if find is not None:
             found = replace(found, events={foot: _events(found, foot, find, found_by) for foot in found.events})
         if measure is not None:
             found = replace(found, measured_strides=_strides(found, measure, measured_by))
+        if event_rule is not None:
+            for foot in found.events:
+                rule = rules.setdefault(foot, _RunningRule(found, foot, event_rule))
+                found.causal_events[foot] = [*found.causal_events.get(foot, []), *rule.decisions(found)]
         yield found
+
+
+class _RunningRule:
+    """One foot's event rule, which goes on from part to part of a long recording."""
+
+    def __init__(self, analysis: Analysis, foot: str, make: EventRule) -> None:
+        if not callable(make):
+            raise ExtensionError(f"event rule must be a function, is {type(make).__name__}")
+        self._foot, self._name = foot, getattr(make, "__name__", type(make).__name__)
+        self._begin_ns = self._newest_ns = int(analysis.recording.tracks[foot].t_sensor_ns[0])
+        self._step = _called(self._name, make, analysis.calibrations[foot])
+        if not callable(self._step):
+            raise ExtensionError(f"event rule {self._name!r} must give a function, gave {type(self._step).__name__}")
+
+    def decisions(self, analysis: Analysis) -> Iterator[tuple[str, Decision]]:
+        """What it says of the samples that are newer than those before, up to the end of the analysis' own part."""
+        t_ns, acc_mps2, gyr_radps = newer_samples(analysis.recording.tracks[self._foot])
+        end_ns = NEVER_NS if analysis.chunk is None else analysis.chunk.end_ns
+        rows = np.flatnonzero((t_ns >= self._newest_ns) & (t_ns <= end_ns))
+        for row in rows.tolist():
+            at_ns = int(t_ns[row])
+            said = _called(self._name, self._step, (at_ns - self._begin_ns) / NS_PER_S, acc_mps2[row], gyr_radps[row])
+            if said is not None:
+                if said not in ("FO", "IC"):
+                    raise ExtensionError(f"event rule {self._name!r} must say 'FO', 'IC' or None, said {said!r}")
+                yield self._name, Decision(at_ns, OnlineEvent[said], at_ns)
+            self._newest_ns = at_ns + 1
 
 
 def _part(kind: str, given: Any) -> tuple[Any, str]:

@@ -16,7 +16,7 @@ from fes.analysis.methods import CAUSAL_EVENT_COLUMNS, causal_event_rows
 from fes.analysis.tables import Table, by_column, join_tables
 from fes.analysis.toe_and_heel import ToeAndHeel
 from fes.config import Ground
-from fes.estimation.events.causal import Decision, Rule
+from fes.estimation.events.causal import Decision
 from fes.estimation.events.offline import GaitEvents, foot_strike_angles
 from fes.estimation.foot.block_results import TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
@@ -115,13 +115,17 @@ class Analysis:
     outcomes: dict[str, list[Outcome]] = field(default_factory=dict)
     chunk: Chunk | None = None
     path_begins_ns: dict[str, int] = field(default_factory=dict)
-    causal_events: dict[str, list[tuple[Rule, Decision]]] = field(default_factory=dict)
+    causal_events: dict[str, list[tuple[str, Decision]]] = field(default_factory=dict)
     walking_ns: IntArray | None = None
     measured_strides: list[StrideResult] | None = None
     raw: dict[str, Track] = field(default_factory=dict)
     corrections: Mapping[str, tuple[Lie, ...]] = field(default_factory=dict)
     uncorrected: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     anew: Callable[[Recording], "Analysis"] | None = None
+
+    def __repr__(self) -> str:
+        valid = sum(stride.valid for stride in self.strides)
+        return f"Analysis of {self.recording!r}: {len(self.strides)} strides, {valid} of them valid"
 
     @cached_property
     def testimonies(self) -> dict[str, Testimony]:

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 from fes import config
-from fes.analysis.own_methods import Detector, StrideMethod, with_own_methods
+from fes.analysis.own_methods import Detector, EventRule, StrideMethod, with_own_methods
 from fes.analysis.pipeline import analyse_chunks, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.analysis.tables import table_of
@@ -30,7 +30,8 @@ from fes.calibration.recording import (
 from fes.config import FootGeometry, Ground, Session
 from fes.control.replay import session_for
 from fes.notebook.results import Agreement, File, Log, Result, Simulated, gather, log_of
-from fes.recording import Recording, read_recording
+from fes.recording import Recording, read_recording, recording_from_arrays
+from fes.recording.arrays import Frames, is_frames
 from fes.recording.chunks import Chunk, recording_chunks
 from fes.session_log import read_session
 from fes.signals import ImuSample
@@ -71,29 +72,37 @@ def calibrate(recording: Recording | File, path: File | None = None, *, level: b
 
 
 def analyse(
-    recording: Recording | File,
+    recording: Recording | File | Frames,
     calibration: SensorCalibrations | File | None = None,
     ground: Literal["level", "free"] | float | None = None,
     geometry: Mapping[str, FootGeometry] | None = None,
     detector: str | Detector | None = None,
     stride_method: str | StrideMethod | None = None,
+    event_rule: EventRule | None = None,
+    rate_hz: float | None = None,
 ) -> Result:
     """Find strides, events, phases, the path over the ground and gait parameters.
 
     Args:
-        recording: of :func:`read` or ``fes.recording``, or a file; one of more than half an hour is read in parts.
+        recording: of :func:`read` or ``fes.recording``, or a file; one of more than half an hour is read in parts. Or a
+            data frame or a mapping of frames, as for ``fes.recording``.
         calibration: of :func:`calibrate`, or its file. Default: from the recording itself.
         ground: "level", a treadmill's incline in percent, or "free" on stairs and ramps, where the height gained is
             measured. Default: as the recording's sidecar says, else level.
         geometry: by foot, where toe and heel are. Default: the recording's own, or else estimated from the walk.
         detector: of foot off and initial contact, and
         stride_method: of stride lengths: functions, or names of parts that another package brings (docs/extensions.md).
+        event_rule: says sample by sample, as while walking, when a foot goes off and comes down: a function. What it
+            says is ``events_causal``, with the delay to the events.
+        rate_hz: of a frame whose index counts samples.
 
     Raises:
         RecordingError: as of :func:`read`.
-        ExtensionError: there is no such detector or stride method, or it failed.
+        ExtensionError: there is no such detector or stride method, or a function failed or gave what it must not.
         CalibrationError: no sensor can be calibrated, or the calibration does not fit the recording.
     """
+    if is_frames(recording):
+        recording = recording_from_arrays(recording, rate_hz=rate_hz, name="frame")
     first = Chunk(recording) if isinstance(recording, Recording) else next(recording_chunks(Path(recording)))
 
     def chunks() -> Iterator[Chunk]:
@@ -102,7 +111,7 @@ def analyse(
     def analyses() -> Iterator[Analysis]:
         named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in chunks())
         own = analyse_chunks(named, found.calibrations, geometry=geometry, ground=walked_on)
-        return with_own_methods(own, detector, stride_method)
+        return with_own_methods(own, detector, stride_method, event_rule)
 
     walked_on = first.recording.ground
     if ground is not None:
@@ -234,7 +243,9 @@ def evaluate(
     return Agreement(table_of(agreement_rows(found)), table_of(pair_rows(found)), found)
 
 
-def _recording(recording: Recording | File) -> Recording:
+def _recording(recording: Recording | File | Frames) -> Recording:
+    if is_frames(recording):
+        return recording_from_arrays(recording, name="frame")
     return recording if isinstance(recording, Recording) else read(recording)
 
 

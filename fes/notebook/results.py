@@ -35,6 +35,7 @@ class Result:
         events: a row a swing: foot off and initial contact, both ways.
         phases: a row a change of phase, ``t_s`` and ``t_live_s``.
         path: a row a tenth of a second and foot: its place over the ground.
+        events_causal: a row an event that an event rule of your own decided, with its delay; None without a rule.
         parameters: gait parameters; ``.table`` has a row a valid stride, ``.summary`` means, sides and the walk's own.
     """
 
@@ -44,6 +45,7 @@ class Result:
     path: Table
     parameters: GaitParameters
     _analyses: Callable[[], Iterator[Analysis]]
+    events_causal: Table | None = None
 
     @property
     def findings(self) -> tuple[Finding, ...]:

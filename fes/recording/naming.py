@@ -99,6 +99,11 @@ def part_of(text: str) -> str:
     return "" if shank == foot else "shank" if shank else "foot"
 
 
+def worn_elsewhere(text: str) -> bool:
+    """Does a plain text speak of a place that is no foot or shank?"""
+    return bool(_ELSEWHERE.search(text))
+
+
 def time_columns(names: list[str]) -> list[str]:
     """The columns that are called a time."""
     return [name for name in names if _TIME.search(plain(name)) and not _kind(plain(name))]

@@ -46,7 +46,7 @@ def read_recording(path: Path) -> Recording:
         raw = read_can_log(path, sidecar_path, sidecar)
     else:
         raw = read_table(path, sidecar_path, sidecar)
-    return _recording(path, sidecar, _tracks(path, sidecar, raw))
+    return _recording(path, sidecar, tracks_of(path, sidecar, raw))
 
 
 def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterator[Recording]:
@@ -65,7 +65,7 @@ def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterato
         return
     before: dict[str, Track] = {}
     for raw in read_parts(path, sidecar_path, sidecar, rows):
-        recording = _recording(path, sidecar, _tracks(path, sidecar, raw, before))
+        recording = _recording(path, sidecar, tracks_of(path, sidecar, raw, before))
         for name, track in recording.tracks.items():
             newest = int(np.argmax(track.t_sensor_ns))
             before[name] = replace(track.part(slice(newest, newest + 1)), t_ns=track.t_ns[-1:].copy())
@@ -128,10 +128,14 @@ def _described(path: Path) -> tuple[Path, Path, Sidecar]:
     return path, sidecar_path, load_sidecar(sidecar_path)
 
 
-def _tracks(
+def tracks_of(
     path: Path, sidecar: Sidecar, raw: Mapping[str, RawTrack], before: Mapping[str, Track] | None = None
 ) -> dict[str, Track]:
-    """Tracks of what was read; ``before``: where each ended in the part before."""
+    """Tracks of what was read, judged; ``before``: where each ended in the part before.
+
+    Raises:
+        RecordingError: as of :func:`read_recording`.
+    """
     before = before or {}
     ordered = [sensor for sensor in SENSORS + UNLABELLED_FEET if sensor in raw]
     judged: Judged = {}

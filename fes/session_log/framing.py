@@ -40,7 +40,7 @@ class Received:
     data: bytes
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class SessionRecord(WalkRecord):
     """All that a session left behind: the walk, and what came in and went out. Lists are in the order of writing."""
 

@@ -88,6 +88,9 @@ class Truth:
     activities: list[Activity] = field(default_factory=list)
     reference: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
 
+    def __repr__(self) -> str:
+        return f"Truth {self.name}: {len(self.strides)} strides of {', '.join(self.feet) or 'no foot'}"
+
     def strides_of(self, foot: str) -> list[TruthStride]:
         """One foot's strides."""
         return [stride for stride in self.strides if stride.foot == foot]

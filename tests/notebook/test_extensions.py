@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -21,6 +22,7 @@ from fes.config import ConfigError, validate_session
 from fes.extensions import GROUPS, ExtensionError, extension_names, load_extension
 from fes.signals import G_MPS2, StimAlive, StimCommand
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "extensions.md"
 PACKAGE = Path(__file__).resolve().parents[1] / "extension_package"
 
 
@@ -145,6 +147,34 @@ def test_a_detector_tells_the_events_of_an_analysis(installed, walk):
     np.testing.assert_array_equal(own.strides["stride_length_m"], other.strides["stride_length_m"])
     swings = [each.parameters.table["swing_s"].mean() for each in (own, other)]
     assert swings[1] - swings[0] > 0.05  # it takes foot off earlier
+
+
+def test_the_page_s_functions_need_no_package():
+    (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, str(PAGE), "exec"), names)
+    own = names["own"]
+    assert set(own.events_causal["rule"]) == {"when_it_turns"}
+    for event, column in (("FO", "t_foot_off_s"), ("IC", "t_initial_contact_s")):
+        said_s = own.events_causal["t_known_s"][own.events_causal["event"] == event]
+        # the detector's event is the last sample before the change, the rule's the first one after it
+        near_s = np.abs(said_s[:, None] - np.asarray(own.events[column])[None, :]).min(axis=0)
+        assert near_s.max() <= 0.011
+    assert fes.analyse(names["walk"]).events_causal is None
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        ("mine", "event rule must be a function, is str"),
+        (lambda calibration: "FO", "must give a function, gave str"),
+        (lambda calibration: lambda t_s, acc, gyr: "TO", "must say 'FO', 'IC' or None, said 'TO'"),
+        (lambda calibration: lambda t_s, acc, gyr: 1 / 0, "failed: ZeroDivisionError"),
+    ],
+)
+def test_what_an_event_rule_gives_is_checked(walk, rule, said):
+    with pytest.raises(ExtensionError, match=said):
+        fes.analyse(walk, event_rule=rule)
 
 
 def test_a_stride_method_tells_the_lengths(installed, walk):

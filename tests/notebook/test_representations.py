@@ -17,11 +17,23 @@ def objects() -> dict[str, object]:
         "SensorCalibrations": fes.calibrate(recording),
         "Result": result,
         "GaitParameters": result.parameters,
-        "Simulated": fes.simulate(seconds=8.0),
+        "Simulated": (simulated := fes.simulate(seconds=8.0)),
+        "Truth": simulated.truth,
+        "Analysis": (analysis := result.analysis()),
+        "WalkRecord": analysis.walk_record(),
+        "GaitEvents": next(iter(analysis.events.values())),
+        "GroundPath": next(iter(analysis.paths.values())),
+        "SessionRecord": fes.replay(recording).record,
     }
 
 
-@pytest.mark.parametrize("kind", ["Track", "Recording", "SensorCalibrations", "Result", "GaitParameters", "Simulated"])
+KINDS = (
+    "Track", "Recording", "SensorCalibrations", "Result", "GaitParameters", "Simulated", "Truth", "Analysis",
+    "WalkRecord", "GaitEvents", "GroundPath", "SessionRecord",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_an_object_tells_what_it_is_in_a_line(objects: dict[str, object], kind: str) -> None:
     text = repr(objects[kind])
     assert text.startswith(kind)

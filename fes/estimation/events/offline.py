@@ -369,6 +369,9 @@ class GaitEvents:
     heel_rise_ns: IntArray | None = None
     foot_flat_ns: IntArray | None = None
 
+    def __repr__(self) -> str:
+        return f"GaitEvents: {len(self)} swings; fo_ns, mid_swing_ns, ic_ns and heel_strike have one each"
+
     def __len__(self) -> int:
         return len(self.ic_ns)
 
