@@ -91,7 +91,10 @@ def test_units_are_converted(walk):
     [
         (lambda acc, gyr: {"acc": acc.T, "gyr": gyr}, r"shape \(3, \d+\), must be \(N, 3\)"),
         (lambda acc, gyr: {"acc": acc, "gyr": gyr[:-1]}, r"acc has \d+ samples, gyr"),
-        (lambda acc, gyr: {"acc": np.where(np.arange(len(acc))[:, None] == 7, np.nan, acc), "gyr": gyr}, r"row 8: column 'left_foot acc x'"),
+        (
+            lambda acc, gyr: {"acc": np.where(np.arange(len(acc))[:, None] == 7, np.nan, acc), "gyr": gyr},
+            r"row 8: column 'left_foot acc x'",
+        ),
         (lambda acc, gyr: {"acc": acc / 9.81, "gyr": gyr}, 'acc_unit = "g"'),
         (lambda acc, gyr: {"acc": acc, "gyr": np.degrees(gyr)}, 'gyr_unit = "deg/s"'),
         (lambda acc, gyr: {"acc": acc - np.median(acc, axis=0), "gyr": gyr}, "gravity"),
