@@ -4,7 +4,7 @@
     python benchmarks/loop/tuning.py --patients 20 --trials day --arms short tuner --each         # a look
 
 It takes hours. With ``--keep FILE`` whoever has walked is written there at once, and does not walk again with the same
-program; ``--kept`` makes the tables of those alone.
+tuning (the files of its room); ``--kept`` makes the tables of those alone.
 
 Arms, all within the same bounds (50 mA, 60 to 300 µs):
 
@@ -318,18 +318,16 @@ def one_person(seed: int, names: Sequence[str], arms: Sequence[str], *, second: 
 
 
 class Kept:
-    """Results by model, seed, trial and arm, in a file where there is one; those of another program count as none."""
+    """Results by model, seed, trial and arm, in a file where there is one; those of another tuning count as none."""
 
     def __init__(self, path: Path | None) -> None:
         self.results: dict[tuple[bool, int, str, str], Result] = {}
         self._path = path
-        root = Path(__file__).resolve().parents[2]
-        parts = [root / "fes" / room for room in ("control", "estimation", "gate", "simulation/forward", "stimulation")]
-        sources = [source for part in (*parts, root / "statemachine") for source in part.rglob("*.py")]
-        self._program = digest(sources)
+        self._tuning = digest((Path(__file__).resolve().parents[2] / "fes" / "stimulation" / "tuning").glob("*.py"))
         for line in path.read_text(encoding="utf-8").splitlines() if path is not None and path.is_file() else ():
             row = json.loads(line)
-            if row["program"] == self._program:
+            if row["tuning"] == self._tuning:
+                row["result"]["inside"] = [each == "1" for each in row["result"]["inside"]]
                 self.results[row["second"], row["seed"], row["trial"], row["arm"]] = Result(**row["result"])
 
     def has(self, second: bool, seed: int, trial: str, arms: Sequence[str]) -> bool:
@@ -341,10 +339,11 @@ class Kept:
         for trial, by_arm in walked.items():
             for arm, result in by_arm.items():
                 self.results[second, seed, trial, arm] = result
-                row = {"program": self._program, "second": second, "seed": seed, "trial": trial, "arm": arm}
+                inside = "".join("01"[each] for each in result.inside)
+                row = {"tuning": self._tuning, "second": second, "seed": seed, "trial": trial, "arm": arm}
                 if self._path is not None:
                     with self._path.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps({**row, "result": asdict(result)}) + "\n")
+                        file.write(json.dumps({**row, "result": asdict(result) | {"inside": inside}}) + "\n")
 
 
 # --- tables ---------------------------------------------------------------------------------------------------
