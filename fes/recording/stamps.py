@@ -15,7 +15,6 @@ GAP_INTERVALS: Final = 1.5  # usual intervals: from there on a sample is missing
 _BUNCH: Final = 8  # stamps that may come in a bunch, as radios and Android bring them
 _ONE_BETWEEN: Final = (1.5, 4.5)  # usual intervals from neighbour to neighbour: the sample belongs between them
 FAR_INTERVALS: Final = 5.0  # more than jitter and swapped packets; what is nearer is counted as backward or irregular
-FAR_NS: Final = NS_PER_S  # of the first and the last stamp
 
 
 def usual_interval_ns(stamps_ns: IntArray) -> float:
@@ -28,16 +27,19 @@ def repaired(stamps_ns: IntArray, *, doubled: bool = False) -> tuple[IntArray, i
     """Put single wrong stamps of (N,) between their neighbours; the same array where none is wrong, and how many.
 
     A stamp is wrong that is more than ``FAR_INTERVALS`` from where its neighbours say, where these are so far apart
-    that a sample is due between them. The first and the last, which have one neighbour, are wrong where they are more
-    than a second off. Two samples in the wrong order and a clock that jumps for good are none. What is off by less is
-    left as a live session would have had it.
+    that a sample is due between them. The first and the last, which have one neighbour, are wrong where they are
+    further off than all others lie apart: a stall of seconds before the last sample is none. Two samples in the wrong
+    order and a clock that jumps for good are none either. What is off by less is left as a live session has it.
 
     Args:
         stamps_ns: as the file has them.
         doubled: the stamp of the sample before is wrong too, where a sample is due.
     """
     steps = stamps_ns[1:] - stamps_ns[:-1]
-    if stamps_ns.size < 4 or (steps.min() > 0 and steps[0] <= FAR_NS and steps[-1] <= FAR_NS):
+    if stamps_ns.size < 4:
+        return stamps_ns, 0
+    rest_ns = int(np.abs(stamps_ns[-2] - stamps_ns[1]))
+    if steps.min() > 0 and max(steps[0], steps[-1]) <= rest_ns:
         return stamps_ns, 0
     forward = steps[steps > 0]
     if not forward.size:
@@ -53,7 +55,7 @@ def repaired(stamps_ns: IntArray, *, doubled: bool = False) -> tuple[IntArray, i
     for end, neighbour, next_one in ((0, 1, 2), (-1, -2, -3)):
         step = int(out[neighbour] - out[next_one])
         follows = 0 < abs(step) <= _ONE_BETWEEN[0] * usual_ns and (step < 0) == (end == 0)
-        if follows and abs(int(out[end]) - int(out[neighbour]) - step) > FAR_NS:
+        if follows and abs(int(out[end]) - int(out[neighbour]) - step) > rest_ns:
             out[end] = out[neighbour] + step
             count += 1
     return (out, count) if count else (stamps_ns, 0)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from long_day import rows_of, score
-from stroke_treadmill import data_folder
-from virtual_day import write_day
 
 import fes
+from benchmarks.accuracy.long_day import rows_of, score
+from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.accuracy.virtual_day import write_day
 from fes.analysis.bouts import LENGTHS_S, Bout, Stride, bout_tables, bouts_of, kept_of
 from fes.cli import main
 from fes.signals import StrideResult

@@ -245,7 +245,7 @@ def test_a_log_whose_session_sets_a_threshold_that_is_gone_says_which(log: Path,
         return json.dumps({**header, "session": {**header["session"], "thresholds": set_there}}).encode()
 
     old = rewritten(log, tmp_path / "older.feslog", older)
-    with pytest.raises(ConfigError, match=r"older\.feslog: .*struck_share is no threshold any more"):
+    with pytest.raises(ConfigError, match=r"older\.feslog: .*struck_share is no threshold"):
         repeat(old)
     assert summarise(read_session(old)).feet
 

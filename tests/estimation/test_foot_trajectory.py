@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from test_zupt import STRIDE_M, rests, walk
-from zupt_reference import add_noise as add_sample_noise
-from zupt_reference import predict as predict_sample
-from zupt_reference import zupt_path
 
+from benchmarks.accuracy.zupt_reference import add_noise as add_sample_noise
+from benchmarks.accuracy.zupt_reference import predict as predict_sample
+from benchmarks.accuracy.zupt_reference import zupt_path
 from fes.analysis.stride_fusion import SETTINGS
 from fes.estimation.zupt import foot_trajectory
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, interval_noise, predict, propagate_error, spread_noise

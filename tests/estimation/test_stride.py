@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from given_borders import NO_BIASES, quietest_near, solve_stride
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from benchmarks.accuracy.given_borders import NO_BIASES, quietest_near, solve_stride
 from fes.config import FootGeometry
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.integration import double_integral, effects, integrate, orient

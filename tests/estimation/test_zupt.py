@@ -7,8 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from zupt_reference import Tape, ZuptPath, add_noise, forward, new_tape, predict, propagate_one, smooth, zupt_path
 
+from benchmarks.accuracy.zupt_reference import (
+    Tape,
+    ZuptPath,
+    add_noise,
+    forward,
+    new_tape,
+    predict,
+    propagate_one,
+    smooth,
+    zupt_path,
+)
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, update
 from fes.estimation.zupt.decimation import ZuptSettings
 from fes.estimation.zupt.detectors import Detector, rate_energy

@@ -467,7 +467,7 @@ def test_a_wrong_sidecar(good: Csv, spoil: Callable[[str], str], parts: tuple[st
 def test_the_documents_example_is_a_valid_sidecar(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
     examples = re.findall(r"```toml\n(.*?)```", text, re.S)
-    assert len(examples) == 3
+    assert len(examples) == 4
     for example in examples:
         (tmp_path / "walk.toml").write_text(example, encoding="utf-8")
         assert load_sidecar(tmp_path / "walk.toml").sensors["left_foot"].acc

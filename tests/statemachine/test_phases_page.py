@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import left_out
 import phases_page
 import pytest
 from phases_page import ARROWS, BOX, PLACES, Shown, condition, looks_at
 
+from benchmarks.accuracy import left_out
 from statemachine.guards import Thresholds
 from statemachine.phases import Phase, Transition
 from statemachine.table import TABLE
