@@ -126,11 +126,7 @@ def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
         if scenario.restart:
             faults += _left_behind(bench, scenario, t_ns)
         elif bench.session().alive:
-            try:  # when the fault is over, a person must be able to go on; else the next row begins with a new session
-                bench.arm()
-            except CampaignBroken as error:
-                bench.end_session()
-                faults.append(f"cannot be armed again: {error}")
+            faults += bench.go_on()
         wrong_ms = bench.wrong_phase_ms(stretches, t_ns)
         return Attempt(off_ms, last_ms, named, tuple(faults), wrong_ms=wrong_ms)
     raise CampaignBroken(f"no burst lasted until the fault was there, or no step came after it, {TRIES} times")
@@ -168,11 +164,7 @@ def _lies_before_a_burst(bench: CampaignBench, scenario: Scenario, n: int) -> At
     wrong_ms = bench.wrong_phase_ms(stretches, t_ns)
     pulses_ms = [(output.last_pulse_ns - t_ns) / MS for output in stretches if output.last_pulse_ns > t_ns]
     if bench.session().alive:
-        try:
-            bench.arm()
-        except CampaignBroken as error:
-            bench.end_session()
-            faults.append(f"cannot be armed again: {error}")
+        faults += bench.go_on()
     return Attempt(off_after_ms(stretches, t_ns), max(pulses_ms, default=-1.0), named, tuple(faults), wrong_ms=wrong_ms)
 
 

@@ -39,6 +39,10 @@ class CampaignBroken(RuntimeError):
     """The session under test does not come up, or does not stimulate though nothing is wrong."""
 
 
+class NobodyTaps(CampaignBroken):
+    """A real sensor had a fault, and arming waits for a tap on it."""
+
+
 @dataclass(slots=True)
 class CampaignBench:
     """Make one, :meth:`prepare` it for each row, :meth:`end_session`; the devices belong to whoever started them."""
@@ -124,6 +128,20 @@ class CampaignBench:
             if walks:
                 self.stand(False)
 
+    def go_on(self) -> list[str]:
+        """Arm again when a fault is over, as a person must be able to; [why it cannot be], else [].
+
+        Where that fails, and where a real sensor waits for a tap that nobody gives, the next row begins a new session.
+        """
+        try:
+            self.arm()
+        except NobodyTaps:
+            self.end_session()
+        except CampaignBroken as error:
+            self.end_session()
+            return [f"cannot be armed again: {error}"]
+        return []
+
     def keep_armed(self) -> None:
         """As :meth:`arm`, but without waiting: call it again and again while something else is being done."""
         status = self.status()
@@ -173,7 +191,9 @@ class CampaignBench:
             if time.monotonic() < self._tap_s:
                 return
             self._tap_s = time.monotonic() + TAP_EVERY_S
-            self.devices.imu.inject("tap")
+            if not isinstance(self.equipment, Devices):
+                raise NobodyTaps
+            self.equipment.imu.inject("tap")
         self.controller.operator.send_command(ask)
 
     # --- waiting -----------------------------------------------------------------------------------------
