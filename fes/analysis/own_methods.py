@@ -5,6 +5,7 @@ the track's first sample. A stride method is ``method(track, calibration, t_star
 in m of the strides between these times (M,), NaN where it knows none. An event rule is ``rule(calibration)`` → a
 function that gets sample after sample, ``(t_s, acc_mps2 (3,), gyr_radps (3,))``, and says "FO", "IC" or None: it cannot
 look ahead.
+
 ``track`` and ``calibration`` are a
 :class:`fes.recording.Track` and what :func:`fes.calibrate` found for its sensor.
 """
