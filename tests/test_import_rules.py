@@ -19,7 +19,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("fes", "fes.signals", "fes.limits", "fes.extensions"),
     ("statemachine",),
     ("fes.config",),
-    ("fes.walk_record",),
+    ("fes.walk_record", "fes.estimation.numerics"),
     ("fes.estimation", "fes.stimulation", "fes.session_log", "fes.gate"),
     ("fes.recording",),
     ("fes.control", "fes.simulation", "fes.datasets", "fes.witness"),
@@ -42,7 +42,8 @@ NARROWER: dict[str, set[str]] = {
     "fes.config": {"pydantic", "fes.extensions", "fes.limits", "statemachine.guards"},
     "statemachine": {"transitions", "fes.signals", "fes.limits"},
     "fes.walk_record": {"numpy", "fes.signals", "statemachine.phases"},
-    "fes.gate": {"fes.config", "fes.signals", "fes.limits"},
+    "fes.gate": {"numpy", "fes.config", "fes.signals", "fes.limits", "fes.estimation.numerics"},
+    "fes.estimation.numerics": {"numpy", "numba", "fes.signals"},
     "fes.stimulation": {"numpy", "statemachine.phases", "fes.config", "fes.extensions", "fes.signals", "fes.limits"},
     "fes.estimation": {"numpy", "numba", "statemachine", "fes.config", "fes.signals", "fes.limits"},
 }
@@ -300,4 +301,6 @@ def test_help_loads_nothing_slow() -> None:
 def test_the_gate_loads_neither_controller_nor_drivers() -> None:
     loaded = loaded_after("import fes.gate", *(name for name in modules() if not within(name, {"fes.gate"})))
     names_of_thresholds = {"statemachine", "statemachine.guards"}
-    assert loaded == {"fes", "fes.signals", "fes.limits", "fes.extensions", *of("fes.config"), *names_of_thresholds}
+    numerics = {"fes.estimation", *(f"fes.estimation.numerics{name}" for name in ("", ".jit", ".records"))}
+    signals = {"fes", "fes.signals", "fes.limits", "fes.extensions", *of("fes.config")}
+    assert loaded == signals | names_of_thresholds | numerics

@@ -35,24 +35,14 @@ from benchmarks.lib.real_sets import all_walks
 from benchmarks.loop.tuning_cohort import patient
 from fes.calibration.recording import calibrate_track
 from fes.gate.freshness import MAX_SAME_MS
-from fes.gate.plausibility import (
-    FOOT,
-    MEAN_NS,
-    MOST_APART_NS,
-    MOST_RATE_RADPS,
-    MOST_TILT_RAD,
-    MOSTLY,
-    REST_FORCE_MPS2,
-    REST_RATE_RADPS,
-    SHANK,
-    STEP,
-    SUSTAINED_MS,
-)
+from fes.gate.plausibility import BOUNDS, place_of
 from fes.recording import Track, read_recording
-from fes.signals import G_MPS2, NS_PER_S, SHANK_SENSORS, FloatArray
+from fes.signals import G_MPS2, NS_PER_S, FloatArray
 from fes.simulation.forward import VirtualPatient
 
 STRIDE_S, WALKED_S = 1.25, 45
+SUSTAINED_MS = 1e-6 * BOUNDS.sustained_ns
+WEAK_MPS2 = place_of("left_foot", None, None).weak_mps2
 LOW, HIGH = (0, 1, 10, 50), (50, 90, 99, 100)
 TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
 
@@ -82,7 +72,7 @@ class Extremes:
         self._take_force(track, force)
         self.rate_radps = max(self.rate_radps, float(rate.max()))
         self.same_ms = max([self.same_ms, *(t + 1000 / track.rate_hz for t in lasting_ms(t_ms, same))])
-        resting = (np.abs(force - G_MPS2) <= REST_FORCE_MPS2) & (rate <= REST_RATE_RADPS)
+        resting = (np.abs(force - G_MPS2) <= BOUNDS.rest_mps2) & (rate <= BOUNDS.rest_radps)
         tilt = np.degrees(np.arccos(np.clip(track.acc_mps2 @ up / np.maximum(force, 1e-9), -1, 1)))
         for begin, end in spells(resting):
             if t_ms[end - 1] - t_ms[begin] >= SUSTAINED_MS:
@@ -90,32 +80,32 @@ class Extremes:
         self.mean_tilt_deg = max(self.mean_tilt_deg, kept_deg(mean_tilt_deg(track, up), track.rate_hz))
 
     def _take_force(self, track: Track, force: FloatArray) -> None:
-        bounds = SHANK if track.sensor in SHANK_SENSORS else FOOT
+        bounds = place_of(track.sensor, None, None)
         below, above = levels(track.rate_hz, force)
         self.weak_mps2 = min(self.weak_mps2, float(below.min()))
-        self.strong = max(self.strong, float(above.max()) / bounds.strong)
-        if 1e9 / track.rate_hz <= MOST_APART_NS:
+        self.strong = max(self.strong, float(above.max()) / bounds.strong_mps2)
+        if 1e9 / track.rate_hz <= BOUNDS.most_apart_ns:
             step = np.maximum(force[1 : len(below)], 1e-9) / np.maximum(force[: len(below) - 1], 1e-9)
-            self.down = max(self.down, float((1.0 / step[below[1:] < bounds.low]).max(initial=0.0)))
-            self.up = max(self.up, float(step[above[1:] > bounds.high].max(initial=0.0)))
+            self.down = max(self.down, float((1.0 / step[below[1:] < bounds.low_mps2]).max(initial=0.0)))
+            self.up = max(self.up, float(step[above[1:] > bounds.high_mps2].max(initial=0.0)))
 
     @property
     def force_holds(self) -> bool:
         """Whether the gate would have taken its unit for the right one."""
-        return self.weak_mps2 > FOOT.weak and self.strong < 1.0 and max(self.down, self.up) < STEP
+        return self.weak_mps2 > WEAK_MPS2 and self.strong < 1.0 and max(self.down, self.up) < BOUNDS.step
 
     @property
     def holds(self) -> bool:
         """Whether the gate would have let all of it pass."""
-        tilt = max(self.tilt_deg, self.mean_tilt_deg) < math.degrees(MOST_TILT_RAD)
-        return self.force_holds and tilt and self.same_ms < MAX_SAME_MS and self.rate_radps < MOST_RATE_RADPS
+        tilt = max(self.tilt_deg, self.mean_tilt_deg) < math.degrees(math.acos(BOUNDS.upright))
+        return self.force_holds and tilt and self.same_ms < MAX_SAME_MS and self.rate_radps < BOUNDS.most_rate_radps
 
 
 def levels(rate_hz: float, force: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What three quarters of each span stay below, and above, m/s²; the spans begin with each sample."""
     samples = math.ceil(SUSTAINED_MS * rate_hz / 1000 - 1e-6) + 1
     ordered = np.sort(np.lib.stride_tricks.sliding_window_view(force, samples), axis=1)
-    most = math.ceil(MOSTLY[0] * samples / MOSTLY[1])
+    most = math.ceil(BOUNDS.mostly * samples)
     return ordered[:, most - 1], ordered[:, samples - most]
 
 
@@ -127,7 +117,7 @@ def kept_deg(tilts_deg: FloatArray, rate_hz: float) -> float:
 
 def mean_tilt_deg(track: Track, up: FloatArray) -> FloatArray:
     """Tilt of the force averaged over 0.3 s from the calibrated upright, (N,)."""
-    share = 1e9 / track.rate_hz / MEAN_NS
+    share = 1e9 / track.rate_hz / BOUNDS.mean_ns
     state = (1.0 - share) * G_MPS2 * up[None, :]
     mean, _ = lfilter([share], [1.0, share - 1.0], track.acc_mps2, axis=0, zi=state)
     cosine = mean @ up / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)
@@ -184,7 +174,9 @@ def by_stride(tracks: Iterator[tuple[str, Track, FloatArray]]) -> Table:
         tilts = mean_tilt_deg(track, up)
         found = Extremes()
         found.take(track, up)
-        beyond.setdefault(name, []).append((not found.force_holds, found.mean_tilt_deg > math.degrees(MOST_TILT_RAD)))
+        beyond.setdefault(name, []).append(
+            (not found.force_holds, found.mean_tilt_deg > math.degrees(math.acos(BOUNDS.upright)))
+        )
         span = round(STRIDE_S * track.rate_hz)
         for begin in range(0, len(below) - span, span):
             weak.setdefault(name, []).append(float(below[begin : begin + span].min()))
@@ -233,14 +225,14 @@ def main() -> int:
     table.add_row(
         "the gate's bounds",
         "",
-        f"{FOOT.weak:g}",
+        f"{place_of('left_foot', None, None).weak_mps2:g}",
         "100 %",
-        f"{STEP:g}",
-        f"{STEP:g}",
-        f"{MOST_RATE_RADPS:g}",
+        f"{BOUNDS.step:g}",
+        f"{BOUNDS.step:g}",
+        f"{BOUNDS.most_rate_radps:g}",
         f"{MAX_SAME_MS}",
-        f"{math.degrees(MOST_TILT_RAD):.0f}",
-        f"{math.degrees(MOST_TILT_RAD):.0f}",
+        f"{math.degrees(math.acos(BOUNDS.upright)):.0f}",
+        f"{math.degrees(math.acos(BOUNDS.upright)):.0f}",
         end_section=True,
     )
     for name, e in found.items():

@@ -87,7 +87,10 @@ def compile_part(part: str) -> None:
 
             calibration_walk(PatientSettings())
         case "session":
+            from fes.gate.plausibility import Plausibility
+
             warm_up()
+            Plausibility("left_foot", None, None)
             made_up_foot().track(*made_up_steps()).strides()
         case "analysis":
             from fes.analysis.parameters.gait import gait_parameters, mean_strides

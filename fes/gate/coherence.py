@@ -1,469 +1,439 @@
 """Do a sensor's accelerometer and gyroscope tell of the same movement? Each is held against the other, axis by axis.
 
 A triad that repeats itself, or says nothing but noise, or is scaled, has numbers that could each be true. Together they
-cannot: where a sensor turns, gravity turns in it; where force changes, something turns; and from one rest of a foot to
-the next the force, turned along with the gyroscope, adds up to gravity and no more. Samples are judged by means of
-some 15 ms, which noise hardly moves. Every bound was held against all real recordings, and virtual walks
-(``benchmarks/safety/coherence.py``, docs/safety.md).
+cannot: where a sensor turns, gravity turns in it; where force changes, something turns; and over some strides the
+force, turned along with the gyroscope, is gravity and no more. Samples are judged by means of some 15 ms, which noise
+hardly moves. Compiled; a core is of :data:`fes.gate.bounds.CORE`.
 """
 
 import math
-from typing import Final
 
-from fes.signals import G_MPS2, NS_PER_S, ImuSample, Vector3
-
-BLOCK_NS: Final = 14_500_000  # a mean over at least this long: two samples at 100 Hz, eight at 500 Hz
-MOST_STEP_NS: Final = 40_000_000  # between two samples; what a longer gap hides cannot be added up
-SAME_NS: Final = 60_000_000  # bit-equal while the other triad lives; real and virtual triads: 40 ms at most
-SAME_AXIS_NS: Final = 100_000_000  # one axis bit-equal while the sensor moves; real: 20 ms
-LIVED: Final = 50  # samples that differed: an axis that never did is none of this sensor's
-FULL_SCALE_SHARE: Final = 0.98  # of the triad's greatest value: an axis there may be clipped
-TURNS_RADPS: Final = 0.3  # slower, a zero that is off adds up to a turn in time
-FORCE_MOVED_MPS2: Final = 1.0  # along an axis
-RATE_MOVED_RADPS: Final = 0.25  # about an axis
-# of gravity's own way through the sensor while no axis moved: a turn of 1 rad; real: 6.4
-MOST_UNSEEN_MPS2: Final = 10.0
-MOST_UNSEEN_AXIS_MPS2: Final = 18.0  # likewise along one axis; real: 10.5
-MOST_UNTURNED: Final = 24  # moves of the force without one of the rate; real: 12
-JOLT_MPS2: Final = 2.0  # from one mean to the next: every contact with the ground
-MOST_SMOOTH_RAD: Final = 4.0  # turned without a jolt; real: 2.7
-RESTS_RADPS: Final = 0.6
-STEADY_MPS2: Final = 0.7  # along an axis, from the mean of the rest
-REST_NS: Final = 80_000_000
-LONG_REST_NS, STILL_RADPS = 200_000_000, 0.3  # and no faster all the while: a slow swing comes down as evenly
-GRAVITY_OFF_MPS2: Final = 1.6  # in a long rest; real: 0.62, a virtual foot that drags to its stop: 1.2
-LEAST_TURN_RAD: Final = 1.0  # between two rests: a swing lies between them
-SHORTEST_NS: Final = 8 * NS_PER_S // 10
-LONGEST_NS: Final = 5 * NS_PER_S // 2  # between two rests: what is added up for longer drifts
-EXCESS_MPS2: Final = 1.6  # of a stride's mean vertical force over gravity; real: 0.71
-FORCE_MEAN_S: Final = 0.6  # twice, one mean after the other: a stride's own forces are gone by then
-MEANS_NS: Final = 3 * NS_PER_S  # before the mean force counts
-MORE_MPS2: Final = 1.3  # than usual here, of the mean force; real: 0.99
-LESS_MPS2: Final = 1.6  # likewise; real: 1.28
-MORE_AT_FIRST_MPS2: Final = 1.5  # than gravity, until what is usual is known; real: 1.1
-LESS_AT_FIRST_MPS2: Final = 2.2  # likewise; real: 1.8
-WALKS_RADPS: Final = 0.5
-LEARNS_FORCE_NS: Final = 6 * NS_PER_S  # before the usual mean force counts as known (at 3 s, real: 1.57 less) …
-USUAL_FORCE_S: Final = 10.0  # … and over how long it is the mean
-HOP_NS: Final = 250_000_000
-HOPS: Final = 5  # 1.25 s: a stride of most
-FOLLOW: Final = 0.05  # a hop's share in an axis' usual range
-MOVES_MPS2, MOVES_RADPS = 4.0, 1.5  # the usual range begins with the first that somebody moves by
-OTHERS_MOVE: Final = 0.5  # of their usual range, in the middle of all axes
-USUAL_HOPS: Final = 12  # before an axis' usual range counts as known
-LEAST_SHARE: Final = 0.07  # of an axis' usual range against the other axes' share; real: 0.139, simulated turns 0.105
-MOVE_SHARE: Final = 0.02  # of its usual range: by that, and …
-LEAST: Final = (0.3, 0.3, 0.3, 0.07, 0.07, 0.07)  # … by so much at least (m/s², rad/s), an axis has moved
-LIVES: Final = 3.0  # times the least: an axis that is used to less is not judged
-MOST_STILL: Final = 2.8  # times as far as before all axes may go, in usual ranges, while one is still; real: 2.1
-STILL_SUM: Final = 4.0  # as far as that counts as before, however seldom it is still …
-STILL_SUM_AT_FIRST, KNOWN_SUM = 12.0, 120.0  # … and until they have gone six strides' way
-FORGET_NS: Final = 2 * NS_PER_S  # a longer silence: it may have been put on anew
-NO_RATE: Final = (0.0, 0.0, 0.0)  # what some gyroscopes show below their dead band, whatever their noise
-NONE_SAME: Final = (False, False, False)
-Turn = tuple[Vector3, Vector3, Vector3]
-Six = tuple[float, float, float, float, float, float]
-_AXES: Final = tuple(f"{triad}'s {axis} axis" for triad in ("accelerometer", "gyroscope") for axis in "xyz")
+from fes.estimation.numerics.jit import jit_ieee
+from fes.estimation.numerics.records import Record, Vec
+from fes.gate.bounds import (
+    ACC_DEAD,
+    ACC_FROZEN,
+    AXIS_DEAD,
+    AXIS_FROZEN,
+    AXIS_STILL,
+    DANGLES,
+    GYR_DEAD,
+    GYR_FROZEN,
+    HOPS,
+    MISFIT,
+    SCALED,
+)
+from fes.signals import G_MPS2
 
 
-class Coherence:
-    """One sensor's two triads against each other; what does not fit is told once, and anew when it goes on.
+def coherent(core: Record) -> int:
+    """Take in the core's sample; the code of how the two triads contradict each other, 0 when they do not.
 
-    Args:
-        sensor: its name.
+    What is told is told once, and anew when it goes on.
     """
-
-    def __init__(self, sensor: str) -> None:
-        self._sensor = sensor
-        self.not_ready = ""  # while a triad is frozen
-        self._t_ns = 0
-        self._force_repeats, self._rate_repeats = _Repeats(), _Repeats()
-        self._band_force: Vector3 | None = None  # when the rate became exactly 0
-        self._stillness, self._mean_force = Stillness(), MeanForce()
-        self._restart()
-
-    def fault(self, sample: ImuSample) -> str:
-        """Take in a sample; in words how the two contradict each other, "" when they do not."""
-        step_ns = sample.t_sensor_ns - self._t_ns
-        if -MOST_STEP_NS < step_ns <= 0:
-            return ""  # a slip is counted elsewhere
-        self._t_ns = sample.t_sensor_ns
-        if not 0 < step_ns <= MOST_STEP_NS:
-            if not 0 < step_ns <= FORGET_NS:
-                self._stillness, self._mean_force = Stillness(), MeanForce()
-            self._restart()
-            return ""
-        (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
-        force_repeats = self._force_repeats.observe(sample.acc_mps2, step_ns)
-        rate_repeats = self._rate_repeats.observe(sample.gyr_radps, step_ns)
-        if sample.gyr_radps != NO_RATE:
-            self._band_force = None
-        elif self._band_force is None:
-            self._band_force = sample.acc_mps2
-        elif not (self._force_repeats.ns or _apart(sample.acc_mps2, self._band_force, FORCE_MOVED_MPS2)):
-            self._rate_repeats.ns = 0  # a gyroscope with a dead band, at rest: it counts from the first movement on
-        if force_repeats or rate_repeats:
-            if frozen := self._frozen(sample, step_ns):
-                return frozen
-        elif self.not_ready:
-            self.not_ready = ""
-        self._x += x
-        self._y += y
-        self._z += z
-        self._p += p
-        self._q += q
-        self._r += r
-        self._samples += 1
-        self._block_ns += step_ns
-        return self._judge() if self._block_ns >= BLOCK_NS else ""
-
-    def _frozen(self, sample: ImuSample, step_ns: int) -> str:
-        """Says so when a triad repeats itself while the other does not, or an axis while the sensor moves."""
-        force, rate = self._force_repeats, self._rate_repeats
-        frozen = "accelerometer" if force.ns >= SAME_NS > rate.ns else ""
-        frozen = "gyroscope" if rate.ns >= SAME_NS > force.ns else frozen
-        self.not_ready = f"{self._sensor}'s {frozen} is frozen: the same values, the other's change" if frozen else ""
-        if frozen:
-            return self.not_ready
-        (x, y, z), (p, q, r) = sample.acc_mps2, sample.gyr_radps
-        moves = abs(x * x + y * y + z * z - G_MPS2 * G_MPS2) > 2.0 * G_MPS2 or p * p + q * q + r * r > RESTS_RADPS**2
-        if moves:
-            for first, repeats in ((0, force), (3, rate)):
-                if (axis := repeats.stuck(step_ns)) >= 0:
-                    return f"{self._sensor}'s {_AXES[first + axis]} is frozen: the same value, the others' change"
-        return ""
-
-    def _restart(self) -> None:
-        """Begin as if nothing had come before."""
-        self._clear_block()
-        self._stillness.restart()
-        self._mean_force.restart()
-        self._before: Vector3 | None = None  # the last mean force
-        self._resting_ns = self._still_ns = 0
-        self._up: Vector3 | None = None  # gravity's way up, turned along since the last rest
-        self._upward_mps = self._turned_rad = 0.0  # since that rest: speed gained upward, and turned
-        self._since_rest_ns = 0
-
-    def _clear_block(self) -> None:
-        self._x = self._y = self._z = self._p = self._q = self._r = 0.0
-        self._samples = self._block_ns = 0
-
-    def _judge(self) -> str:
-        share, block_ns = 1.0 / self._samples, self._block_ns
-        x, y, z = share * self._x, share * self._y, share * self._z
-        p, q, r = share * self._p, share * self._q, share * self._r
-        self._clear_block()
-        force_mps2, rate_radps = math.sqrt(x * x + y * y + z * z), math.sqrt(p * p + q * q + r * r)
-        if not force_mps2 + rate_radps < math.inf:  # a fault of its own; sums would never forget it
-            self._restart()
-            return ""
-        before = self._before
-        self._before = (x, y, z)
-        if before is None:
-            self._force, self._rate = (x, y, z), (p, q, r)
-            self._axis_force = [x, y, z]
-            self._unseen_mps2, self._axis_unseen_mps2 = 0.0, [0.0, 0.0, 0.0]
-            self._unturned, self._smooth_rad = 0, 0.0
-            return ""
-        block_s = 1e-9 * block_ns
-        if rate_radps > TURNS_RADPS:
-            # how far gravity went through the sensor, were the force all of it
-            way = G_MPS2 * block_s / max(force_mps2, 2.0)
-            along_x, along_y, along_z = way * abs(y * r - z * q), way * abs(z * p - x * r), way * abs(x * q - y * p)
-            unseen = self._axis_unseen_mps2
-            unseen[0] += along_x
-            unseen[1] += along_y
-            unseen[2] += along_z
-            self._unseen_mps2 += math.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
-            self._smooth_rad += rate_radps * block_s
-        jolt_x, jolt_y, jolt_z = x - before[0], y - before[1], z - before[2]
-        if jolt_x * jolt_x + jolt_y * jolt_y + jolt_z * jolt_z > JOLT_MPS2 * JOLT_MPS2:
-            self._smooth_rad = 0.0
-        if (axis := self._stillness.stuck((x, y, z, p, q, r), block_ns)) >= 0:
-            return f"{self._sensor} moves as ever, but its {_AXES[axis]} does not feel it: stuck?"
-        turn = turn_of((p, q, r), block_s)
-        if felt_mps2 := self._mean_force.wrong((x, y, z), turn, rate_radps, block_ns):
-            felt = f"{felt_mps2:.1f} m/s² of gravity"
-            fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled, its unit?"
-        else:
-            fault = self._dead((x, y, z), (p, q, r)) or self._gravity((x, y, z), turn, rate_radps, block_ns)
-        if fault:
-            self._stillness.restart()  # what lies is nothing to learn from
-        return fault
-
-    def _dead(self, force: Vector3, rate: Vector3) -> str:
-        """Says so when one triad says nothing of what the other tells, or both nothing of the ground."""
-        moved = _apart(force, self._force, FORCE_MOVED_MPS2)
-        if moved:
-            self._force, self._unseen_mps2 = force, 0.0
-            self._unturned += 1
-        if _apart(rate, self._rate, RATE_MOVED_RADPS):
-            self._rate, self._unturned = rate, 0
-        sensor, unseen, stuck = self._sensor, self._axis_unseen_mps2, -1
-        for axis, (now, then) in enumerate(zip(force, self._axis_force, strict=True)):
-            if not -FORCE_MOVED_MPS2 <= now - then <= FORCE_MOVED_MPS2:
-                self._axis_force[axis], unseen[axis] = now, 0.0
-            elif unseen[axis] > MOST_UNSEEN_AXIS_MPS2:
-                unseen[axis], stuck = 0.0, axis
-        if self._unseen_mps2 > MOST_UNSEEN_MPS2:
-            self._unseen_mps2 = 0.0
-            return f"{sensor} turns, but its accelerometer does not feel it: dead, or the gyroscope stuck?"
-        if self._unturned > MOST_UNTURNED:
-            self._unturned = 0
-            return f"{sensor} is moved, but its gyroscope does not feel it: dead, or the accelerometer wrong?"
-        if self._smooth_rad > MOST_SMOOTH_RAD:
-            self._smooth_rad = 0.0
-            return f"{sensor} turns and turns without ever touching the ground: does it dangle?"
-        return f"{sensor} turns, but its {_AXES[stuck]} does not feel it: stuck?" if stuck >= 0 else ""
-
-    def _gravity(self, force: Vector3, turn: Turn, rate_radps: float, block_ns: int) -> str:
-        """Says so when the force at rest is not gravity, or from one rest to the next adds up to more."""
-        if self._up is not None:
-            self._turn_along(self._up, force, turn, rate_radps, 1e-9 * block_ns)
-            self._since_rest_ns += block_ns
-            if self._since_rest_ns > LONGEST_NS:
-                self._up = None
-        x, y, z = force
-        self._still_ns = self._still_ns + block_ns if rate_radps < STILL_RADPS else 0
-        resting_ns, self._resting_ns = self._resting_ns, 0
-        if rate_radps >= RESTS_RADPS:
-            return ""
-        if resting_ns == 0:
-            self._rest_x, self._rest_y, self._rest_z, self._rests = x, y, z, 1
-            self._resting_ns = block_ns
-            return ""
-        share = 1.0 / self._rests
-        mean = (share * self._rest_x, share * self._rest_y, share * self._rest_z)
-        if _apart(force, mean, STEADY_MPS2):
-            return ""
-        self._rest_x, self._rest_y, self._rest_z = self._rest_x + x, self._rest_y + y, self._rest_z + z
-        self._rests += 1
-        self._resting_ns = resting_ns + block_ns
-        return self._rested(mean) if self._resting_ns >= REST_NS else ""
-
-    def _turn_along(self, up: Vector3, force: Vector3, turn: Turn, rate_radps: float, block_s: float) -> None:
-        """Turn gravity with the sensor, and add up what of the force is more than gravity along it."""
-        (a, b, c), (d, e, f), (g, h, i) = turn
-        u, v, w = up
-        u, v, w = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + i * w
-        share = 1.0 / math.sqrt(u * u + v * v + w * w)
-        u, v, w = share * u, share * v, share * w
-        along = force[0] * (u + up[0]) + force[1] * (v + up[1]) + force[2] * (w + up[2])
-        self._upward_mps += block_s * (0.5 * along - G_MPS2)
-        self._turned_rad += block_s * rate_radps
-        self._up = (u, v, w)
-
-    def _rested(self, mean: Vector3) -> str:
-        size_mps2 = _size(mean)
-        fault = ""
-        if self._up is not None and self._turned_rad > LEAST_TURN_RAD:
-            excess_mps2 = self._upward_mps / (1e-9 * max(self._since_rest_ns, SHORTEST_NS))
-            if excess_mps2 > EXCESS_MPS2:
-                felt = f"{G_MPS2 + excess_mps2:.1f} m/s² of gravity in a stride"
-                fault = f"{self._sensor}'s force and turn do not fit: {felt}: an axis stuck, scaled, its unit?"
-        elif min(self._resting_ns, self._still_ns) > LONG_REST_NS and abs(size_mps2 - G_MPS2) > GRAVITY_OFF_MPS2:
-            fault = f"{self._sensor} feels {size_mps2:.1f} m/s² at rest, gravity is 9.8: is it scaled?"
-        if size_mps2 > 0.0:
-            self._up = (mean[0] / size_mps2, mean[1] / size_mps2, mean[2] / size_mps2)
-            self._upward_mps = self._turned_rad = 0.0
-            self._since_rest_ns = 0
-        return fault
+    sample, block, repeats, bounds = core.sample, core.block, core.repeats, core.bounds
+    step_ns = sample.t_sensor_ns - block.t_ns
+    if -bounds.most_step_ns < step_ns <= 0:
+        return 0  # a slip is counted elsewhere
+    block.t_ns = sample.t_sensor_ns
+    if not 0 < step_ns <= bounds.most_step_ns:
+        if not 0 < step_ns <= bounds.forget_ns:
+            forget_person(core)
+        restart(core)
+        return 0
+    acc, gyr = sample.acc, sample.gyr
+    force_repeats = repeat(repeats, 0, acc[0], acc[1], acc[2], step_ns)
+    rate_repeats = repeat(repeats, 1, gyr[0], gyr[1], gyr[2], step_ns)
+    at_band(core)
+    if force_repeats or rate_repeats:
+        code = frozen(core, step_ns)
+        if code != 0:
+            return code
+    else:
+        core.frozen = 0
+    for axis in range(3):
+        block.sums[axis] += acc[axis]
+        block.sums[3 + axis] += gyr[axis]
+    block.samples += 1
+    block.ns += step_ns
+    return contradicted(core) if block.ns >= bounds.block_ns else 0
 
 
-class _Repeats:
-    """How long a triad, and each of its axes, has repeated itself to the bit."""
-
-    def __init__(self) -> None:
-        self.ns = 0  # so long all three axes have
-        self._values: Vector3 = (math.nan, math.nan, math.nan)
-        self._ns = [0, 0, 0]  # so long an axis has while the sensor moved
-        self._same = NONE_SAME  # which do now
-        self._all_lived = 0  # samples in which all axes differed …
-        self._lived = [0, 0, 0]  # … and those in which only some did
-        self._greatest = 0.0
-
-    def observe(self, values: Vector3, step_ns: int) -> bool:
-        """Whether any axis does, with these values a step later."""
-        (x, y, z), (a, b, c), most = values, self._values, self._greatest
-        self._values = values
-        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
-            self._greatest = max(most, abs(x), abs(y), abs(z))
-        if x != a and y != b and z != c:
-            self._all_lived += 1
-            if self._same != NONE_SAME:
-                self._same, self.ns, self._ns = NONE_SAME, 0, [0, 0, 0]
-            return False
-        self._same = x == a, y == b, z == c
-        self.ns = self.ns + step_ns if all(self._same) else 0
-        for axis, same in enumerate(self._same):
-            if not same:
-                self._ns[axis] = 0
-                self._lived[axis] += 1
-        return True
-
-    def stuck(self, step_ns: int) -> int:
-        """The number of an axis that has for too long while the sensor moved, -1 for none: of the values just taken."""
-        for axis, same in enumerate(self._same):
-            lived = self._all_lived + self._lived[axis] > LIVED
-            if same and lived and abs(self._values[axis]) < FULL_SCALE_SHARE * self._greatest:
-                self._ns[axis] += step_ns
-                if self._ns[axis] >= SAME_AXIS_NS:
-                    self._ns[axis] = 0
-                    return axis
-        return -1
+def forget_person(core: Record) -> None:
+    """Whoever wears the sensor now may be somebody else."""
+    still, mean, bounds = core.still, core.mean, core.bounds
+    mean.usual_mps2, mean.walked_ns = G_MPS2, 0
+    still.usual_known, still.hops_known, still.gone = False, 0, 0.0
+    for axis in range(6):
+        still.least[axis] = bounds.least_mps2 if axis < 3 else bounds.least_radps
+        still.farthest[axis], still.may_go[axis] = 0.0, math.inf
 
 
-class MeanForce:
-    """The mean force, turned along with the gyroscope: gravity and no more, for whoever walks ends as fast as he began.
+def restart(core: Record) -> None:
+    """Begin as if nothing had come before; what is usual of the person stays."""
+    clear_block(core.block)
+    restart_still(core.still)
+    core.mean.known, core.mean.ns = False, 0
+    core.block.known, core.block.resting_ns, core.block.still_ns = False, 0, 0
 
-    A force that is scaled changes its size; a rate that is scaled, or an axis of either that is stuck, turns the mean
-    where the force does not go, and it shrinks, or grows where the force of a swing is taken for another direction's.
+
+def clear_block(block: Record) -> None:
+    """Begin the next block."""
+    for axis in range(6):
+        block.sums[axis] = 0.0
+    block.samples = block.ns = 0
+
+
+def repeat(repeats: Record, triad: int, x: float, y: float, z: float, step_ns: int) -> bool:
+    """Take in a triad's values a step later; whether any axis repeats itself to the bit, and how long each has."""
+    first, values, most = 3 * triad, repeats.values, repeats.greatest[triad]
+    if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+        repeats.greatest[triad] = greater(greater(greater(most, abs(x)), abs(y)), abs(z))
+    same_x, same_y, same_z = x == values[first], y == values[first + 1], z == values[first + 2]
+    values[first], values[first + 1], values[first + 2] = x, y, z
+    same = repeats.same
+    none_before = not (same[first] or same[first + 1] or same[first + 2])
+    same[first], same[first + 1], same[first + 2] = same_x, same_y, same_z
+    if not (same_x or same_y or same_z):
+        repeats.all_lived[triad] += 1
+        if not none_before:
+            repeats.all_ns[triad] = 0
+            for axis in range(first, first + 3):
+                repeats.axis_ns[axis] = 0
+        return False
+    repeats.all_ns[triad] = repeats.all_ns[triad] + step_ns if same_x and same_y and same_z else 0
+    for axis in range(first, first + 3):
+        if not same[axis]:
+            repeats.axis_ns[axis] = 0
+            repeats.lived[axis] += 1
+    return True
+
+
+def at_band(core: Record) -> None:
+    """A rate of exactly 0 with the force as it was is a dead band, whatever the noise: it counts from a movement on."""
+    acc, gyr, repeats = core.sample.acc, core.sample.gyr, core.repeats
+    if not gyr[0] == gyr[1] == gyr[2] == 0.0:
+        repeats.band = False
+    elif not repeats.band:
+        repeats.band = True
+        for axis in range(3):
+            repeats.band_force[axis] = acc[axis]
+    elif not (repeats.all_ns[0] or apart(acc, repeats.band_force, core.bounds.force_moved_mps2)):
+        repeats.all_ns[1] = 0
+
+
+def frozen(core: Record, step_ns: int) -> int:
+    """Whether a triad repeats itself while the other does not, or an axis while the sensor moves."""
+    repeats, bounds, acc, gyr = core.repeats, core.bounds, core.sample.acc, core.sample.gyr
+    force_ns, rate_ns = repeats.all_ns[0], repeats.all_ns[1]
+    core.frozen = 0
+    if force_ns >= bounds.same_ns > rate_ns:
+        core.frozen = ACC_FROZEN
+    elif rate_ns >= bounds.same_ns > force_ns:
+        core.frozen = GYR_FROZEN
+    if core.frozen:
+        return int(core.frozen)
+    if abs(square(acc, 0) - G_MPS2 * G_MPS2) > 2.0 * G_MPS2 or square(gyr, 0) > bounds.rests_radps**2:
+        for axis in range(6):
+            triad = axis // 3
+            lived = repeats.all_lived[triad] + repeats.lived[axis] > bounds.lived
+            full = bounds.full_scale * repeats.greatest[triad]
+            if repeats.same[axis] and lived and abs(repeats.values[axis]) < full:
+                repeats.axis_ns[axis] += step_ns
+                if repeats.axis_ns[axis] >= bounds.same_axis_ns:
+                    repeats.axis_ns[axis] = 0
+                    return AXIS_FROZEN + axis
+    return 0
+
+
+def contradicted(core: Record) -> int:
+    """Judge the block's means, and begin the next."""
+    block, bounds, block_ns = core.block, core.bounds, core.block.ns
+    share, sums = 1.0 / block.samples, block.sums
+    x, y, z = share * sums[0], share * sums[1], share * sums[2]
+    p, q, r = share * sums[3], share * sums[4], share * sums[5]
+    clear_block(block)
+    force_mps2, rate_radps = math.sqrt(x * x + y * y + z * z), math.sqrt(p * p + q * q + r * r)
+    if not force_mps2 + rate_radps < math.inf:  # a fault of its own; sums would never forget it
+        restart(core)
+        return 0
+    before = block.before
+    jolt2 = (x - before[0]) * (x - before[0]) + (y - before[1]) * (y - before[1]) + (z - before[2]) * (z - before[2])
+    before[0], before[1], before[2] = x, y, z
+    if not block.known:
+        begin_means(block, x, y, z, p, q, r)
+        return 0
+    block_s = 1e-9 * block_ns
+    if rate_radps > bounds.turns_radps:
+        # how far gravity went through the sensor, were the force all of it
+        way = G_MPS2 * block_s / greater(2.0, force_mps2)
+        along_x, along_y, along_z = way * abs(y * r - z * q), way * abs(z * p - x * r), way * abs(x * q - y * p)
+        unseen = block.axis_unseen_mps2
+        unseen[0] += along_x
+        unseen[1] += along_y
+        unseen[2] += along_z
+        block.unseen_mps2 += math.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
+        block.smooth_rad += rate_radps * block_s
+    if jolt2 > bounds.jolt_mps2 * bounds.jolt_mps2:
+        block.smooth_rad = 0.0
+    axis = still_axis(core, x, y, z, p, q, r, block_ns)
+    if axis >= 0:
+        return int(AXIS_STILL + axis)
+    felt_mps2 = misfit(core, x, y, z, p, q, r, rate_radps, block_ns)
+    if felt_mps2 > 0.0:
+        core.told = felt_mps2
+        code = MISFIT
+    else:
+        code = dead(core, x, y, z, p, q, r)
+        if code == 0:
+            code = scaled(core, x, y, z, rate_radps, block_ns)
+    if code != 0:
+        restart_still(core.still)  # what lies is nothing to learn from
+    return int(code)
+
+
+def begin_means(block: Record, x: float, y: float, z: float, p: float, q: float, r: float) -> None:
+    """Count from these means on."""
+    block.known = True
+    block.force[0], block.force[1], block.force[2] = x, y, z
+    block.rate[0], block.rate[1], block.rate[2] = p, q, r
+    for axis in range(3):
+        block.axis_force[axis], block.axis_unseen_mps2[axis] = block.force[axis], 0.0
+    block.unseen_mps2, block.unturned, block.smooth_rad = 0.0, 0, 0.0
+
+
+def dead(core: Record, x: float, y: float, z: float, p: float, q: float, r: float) -> int:
+    """Whether one triad says nothing of what the other tells, or both nothing of the ground."""
+    block, bounds, unseen, stuck = core.block, core.bounds, core.block.axis_unseen_mps2, -1
+    force, rate = block.force, block.rate
+    most = bounds.force_moved_mps2
+    if abs(x - force[0]) > most or abs(y - force[1]) > most or abs(z - force[2]) > most:
+        force[0], force[1], force[2] = x, y, z
+        block.unseen_mps2 = 0.0
+        block.unturned += 1
+    turned = bounds.rate_moved_radps
+    if abs(p - rate[0]) > turned or abs(q - rate[1]) > turned or abs(r - rate[2]) > turned:
+        rate[0], rate[1], rate[2] = p, q, r
+        block.unturned = 0
+    for axis in range(3):
+        now = block.before[axis]
+        if abs(now - block.axis_force[axis]) > most:
+            block.axis_force[axis], unseen[axis] = now, 0.0
+        elif unseen[axis] > bounds.most_unseen_axis_mps2:
+            unseen[axis], stuck = 0.0, axis
+    if block.unseen_mps2 > bounds.most_unseen_mps2:
+        block.unseen_mps2 = 0.0
+        return ACC_DEAD
+    if block.unturned > bounds.most_unturned:
+        block.unturned = 0
+        return GYR_DEAD
+    if block.smooth_rad > bounds.most_smooth_rad:
+        block.smooth_rad = 0.0
+        return DANGLES
+    return AXIS_DEAD + stuck if stuck >= 0 else 0
+
+
+def scaled(core: Record, x: float, y: float, z: float, rate_radps: float, block_ns: int) -> int:
+    """Whether the force at rest is not gravity."""
+    block, bounds, rest = core.block, core.bounds, core.block.rest
+    block.still_ns = block.still_ns + block_ns if rate_radps < bounds.still_radps else 0
+    resting_ns = block.resting_ns
+    block.resting_ns = 0
+    if rate_radps >= bounds.rests_radps:
+        return 0
+    if resting_ns == 0:
+        rest[0], rest[1], rest[2] = x, y, z
+        block.rests, block.resting_ns = 1, block_ns
+        return 0
+    share, steady = 1.0 / block.rests, bounds.steady_mps2
+    u, v, w = share * rest[0], share * rest[1], share * rest[2]
+    if abs(x - u) > steady or abs(y - v) > steady or abs(z - w) > steady:
+        return 0
+    rest[0], rest[1], rest[2] = rest[0] + x, rest[1] + y, rest[2] + z
+    block.rests += 1
+    block.resting_ns = resting_ns + block_ns
+    core.told = math.sqrt(u * u + v * v + w * w)
+    long = block.resting_ns > bounds.long_rest_ns and block.still_ns > bounds.long_rest_ns
+    return SCALED if long and abs(core.told - G_MPS2) > bounds.gravity_off_mps2 else 0
+
+
+def misfit(
+    core: Record, x: float, y: float, z: float, p: float, q: float, r: float, rate_radps: float, block_ns: int
+) -> float:
+    """How large the mean force is (m/s²) when it cannot be so, else 0.
+
+    Turned along with the gyroscope it is gravity and no more, for whoever walks ends as fast as he began. A force that
+    is scaled changes its size; a rate that is scaled, or an axis of either that is stuck, turns the mean where the
+    force does not go, and it shrinks, or grows where the force of a swing is taken for another direction's.
     """
-
-    def __init__(self) -> None:
-        self._usual_mps2, self._walked_ns = G_MPS2, 0
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin with the next force; what is usual stays."""
-        self._once: Vector3 | None = None
-        self._ns = 0
-
-    def wrong(self, force: Vector3, turn: Turn, rate_radps: float, block_ns: int) -> float:
-        """Take in means of a block; how large the mean force is (m/s²) when it cannot be so, else 0."""
-        block_s = 1e-9 * block_ns
-        share, (x, y, z) = block_s / FORCE_MEAN_S, force
-        if self._once is None:
-            size = self._usual_mps2 / max(_size(force), 1e-6)
-            self._once = self._twice = (size * x, size * y, size * z)
-        (a, b, c), (d, e, f), (g, h, i) = turn
-        u, v, w = self._once
-        u, v, w = a * u + b * v + c * w, d * u + e * v + f * w, g * u + h * v + i * w
-        self._once = u, v, w = u + share * (x - u), v + share * (y - v), w + share * (z - w)
-        x, y, z = self._twice
-        x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-        self._twice = x, y, z = x + share * (u - x), y + share * (v - y), z + share * (w - z)
-        self._ns += block_ns
-        if self._ns < MEANS_NS:
-            return 0.0
-        size_mps2 = math.sqrt(x * x + y * y + z * z)
-        off_mps2 = size_mps2 - self._usual_mps2
-        known = self._walked_ns >= LEARNS_FORCE_NS
-        if known:
-            wrong = not -LESS_MPS2 <= off_mps2 <= MORE_MPS2
-        else:
-            wrong = not -LESS_AT_FIRST_MPS2 <= size_mps2 - G_MPS2 <= MORE_AT_FIRST_MPS2
-        if wrong:
-            self.restart()
-            return max(size_mps2, 1e-3)
-        if rate_radps > WALKS_RADPS:
-            self._walked_ns += block_ns
-            self._usual_mps2 += block_s / USUAL_FORCE_S * off_mps2
+    mean, bounds, once, twice, block_s = core.mean, core.bounds, core.mean.once, core.mean.twice, 1e-9 * block_ns
+    if not mean.known:
+        size = mean.usual_mps2 / greater(math.sqrt(x * x + y * y + z * z), 1e-6)
+        once[0], once[1], once[2] = size * x, size * y, size * z
+        twice[0], twice[1], twice[2] = once[0], once[1], once[2]
+        mean.known = True
+    share = block_s / bounds.force_mean_s
+    turn(once, block_s * p, block_s * q, block_s * r)
+    turn(twice, block_s * p, block_s * q, block_s * r)
+    once[0] += share * (x - once[0])
+    once[1] += share * (y - once[1])
+    once[2] += share * (z - once[2])
+    for axis in range(3):
+        twice[axis] += share * (once[axis] - twice[axis])
+    mean.ns += block_ns
+    if mean.ns < bounds.means_ns:
         return 0.0
+    size_mps2 = math.sqrt(square(twice, 0))
+    off_mps2 = size_mps2 - mean.usual_mps2
+    if mean.walked_ns >= bounds.learns_force_ns:
+        wrong = not -bounds.less_mps2 <= off_mps2 <= bounds.more_mps2
+    else:
+        wrong = not -bounds.less_at_first_mps2 <= size_mps2 - G_MPS2 <= bounds.more_at_first_mps2
+    if wrong:
+        mean.known, mean.ns = False, 0
+        return greater(1e-3, size_mps2)
+    if rate_radps > bounds.walks_radps:
+        mean.walked_ns += block_ns
+        mean.usual_mps2 += block_s / bounds.usual_force_s * off_mps2
+    return 0.0
 
 
-class Stillness:
-    """How far the other axes go while one is still, against the farthest that they have gone so before.
-
-    In a sound sensor no axis is still for long while the others move, in stance as in swing: as long as the foot rests
-    all do. How long is a person's own; ways are counted in usual ranges, so that no axis and no speed counts for more.
-    """
-
-    def __init__(self) -> None:
-        self._usual: list[float] = []
-        self._least = list(LEAST)
-        self._known = 0  # hops in which the usual ranges were learnt
-        self._farthest = [0.0] * 6
-        self._gone = 0.0  # by all axes so far
-        self._may_go = [math.inf] * 6  # while an axis is still
-        self.restart()
-
-    def restart(self) -> None:
-        """Look at a stretch of its own from now on; what is usual stays."""
-        self._hops: list[tuple[list[float], list[float]]] = []
-        self._means: list[Six] = []
-        self._ns = 0
-        self._at: list[float] = []  # each axis where it last moved to, …
-        self._since = [math.inf] * 6  # … and how far all had gone then; nothing is learnt of the first stretch …
-        self._until = [self._gone + way for way in self._may_go]  # … and how far they may go
-
-    def stuck(self, means: Six, block_ns: int) -> int:
-        """Take in means of force and rate; the number of an axis that is stuck, -1 for none."""
-        self._means.append(means)
-        self._ns += block_ns
-        stuck = self._hop() if self._ns >= HOP_NS else -1
-        if not self._usual or not self._at:
-            self._at = list(means)
-            return -1
-        at, until, gone, moved = self._at, self._until, self._gone, []
-        axis = 0
-        for now, then, least in zip(means, at, self._least, strict=True):
-            if now - then > least or then - now > least:
-                moved.append(axis)
-            elif gone > until[axis]:
-                stuck = axis
-            axis += 1  # noqa: SIM113 - enumerate takes a tenth longer
-        if stuck >= 0:
-            self.restart()  # its stretch is none to learn from; told anew when it goes on
-        elif moved:
-            self._move(moved, means)
-        return stuck
-
-    def _move(self, moved: list[int], means: Six) -> None:
-        before = gone = self._gone
-        at, usual, since, until, may_go = self._at, self._usual, self._since, self._until, self._may_go
-        for axis in moved:
-            now = means[axis]
-            share = abs(now - at[axis]) / usual[axis]
-            gone += share if share < 1.0 else 1.0
-            at[axis] = now
-        self._gone = gone
-        for axis in moved:
-            if before - since[axis] > self._farthest[axis]:
-                self._farthest[axis] = before - since[axis]
-            since[axis], until[axis] = gone, gone + may_go[axis]
-
-    def _hop(self) -> int:
-        """What an axis goes through in a stride is learnt while most move; one that then hardly moves is stuck."""
-        axes = list(zip(*self._means, strict=True))
-        self._hops = [*self._hops[1 - HOPS :], ([*map(min, axes)], [*map(max, axes)])]
-        self._means, self._ns = [], 0
-        if len(self._hops) < HOPS:
-            return -1
-        least, most = zip(*self._hops, strict=True)
-        ranges = [high - low for high, low in zip(map(max, *most), map(min, *least), strict=True)]
-        if not self._usual:
-            if max(ranges[:3]) <= MOVES_MPS2 or max(ranges[3:]) <= MOVES_RADPS:
-                return -1
-            self._usual = [max(each, 1e-6) for each in ranges]
-        shares = [now / usual for now, usual in zip(ranges, self._usual, strict=True)]
-        ranked = sorted(shares)
-        middle = 0.5 * (ranked[2] + ranked[3])
-        if middle > OTHERS_MOVE:
-            if self._known >= USUAL_HOPS and ranked[0] < LEAST_SHARE * middle:
-                return shares.index(ranked[0])
-            self._known += 1
-            self._usual = [usual + FOLLOW * (now - usual) for now, usual in zip(ranges, self._usual, strict=True)]
-        self._least = [max(MOVE_SHARE * usual, least) for usual, least in zip(self._usual, LEAST, strict=True)]
-        rarely = STILL_SUM if self._gone > KNOWN_SUM else STILL_SUM_AT_FIRST
-        self._may_go = [
-            MOST_STILL * max(way, rarely) if usual >= LIVES * least else math.inf
-            for way, usual, least in zip(self._farthest, self._usual, LEAST, strict=True)
-        ]
-        return -1
-
-
-def turn_of(rate: Vector3, block_s: float) -> Turn:
-    """Rows (3, 3) that turn what stands still, in a sensor that turns at ``rate`` (rad/s); to the angle's 2nd order."""
-    p, q, r = block_s * rate[0], block_s * rate[1], block_s * rate[2]
+def turn(a: Vec, p: float, q: float, r: float) -> None:
+    """Turn what stands still (3,) in a sensor that turns by these angles (rad); to the 2nd order."""
     pq, qr, rp, pp, qq, rr = 0.5 * p * q, 0.5 * q * r, 0.5 * r * p, 0.5 * p * p, 0.5 * q * q, 0.5 * r * r
-    return (1.0 - qq - rr, pq + r, rp - q), (pq - r, 1.0 - rr - pp, qr + p), (rp + q, qr - p, 1.0 - pp - qq)
+    u, v, w = a[0], a[1], a[2]
+    a[0] = (1.0 - qq - rr) * u + (pq + r) * v + (rp - q) * w
+    a[1] = (pq - r) * u + (1.0 - rr - pp) * v + (qr + p) * w
+    a[2] = (rp + q) * u + (qr - p) * v + (1.0 - pp - qq) * w
 
 
-def _size(a: Vector3) -> float:
-    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+# --- an axis that is still --------------------------------------------------------------------------------------------
+# In a sound sensor no axis is still for long while the others move, in stance as in swing: as long as the foot rests
+# all do. How long is a person's own; ways are counted in usual ranges, so that no axis and no speed counts for more.
 
 
-def _apart(a: Vector3, b: Vector3, most: float) -> bool:
+def restart_still(still: Record) -> None:
+    """Look at a stretch of its own from now on; what is usual stays. Nothing is learnt of the first stretch."""
+    still.hops = still.means = still.ns = 0
+    still.at_known = False
+    for axis in range(6):
+        still.since[axis], still.until[axis] = math.inf, still.gone + still.may_go[axis]
+
+
+def still_axis(core: Record, x: float, y: float, z: float, p: float, q: float, r: float, block_ns: int) -> int:
+    """Take in means of force and rate; the number of an axis that is stuck, -1 for none.
+
+    Such is one while which all axes go farther than ever before while it was still, or one that a stride hardly moves.
+    """
+    still, now, low, high = core.still, core.still.latest, core.still.now_low, core.still.now_high
+    now[0], now[1], now[2], now[3], now[4], now[5] = x, y, z, p, q, r
+    for axis in range(6):
+        if not still.means or now[axis] < low[axis]:
+            low[axis] = now[axis]
+        if not still.means or now[axis] > high[axis]:
+            high[axis] = now[axis]
+    still.means += 1
+    still.ns += block_ns
+    stuck = hop(core) if still.ns >= core.bounds.hop_ns else -1
+    if not (still.usual_known and still.at_known):
+        still.at_known = True
+        for axis in range(6):
+            still.at[axis] = now[axis]
+        return -1
+    gone, moves = still.gone, False
+    for axis in range(6):
+        still.moved[axis] = abs(now[axis] - still.at[axis]) > still.least[axis]
+        if still.moved[axis]:
+            moves = True
+        elif gone > still.until[axis]:
+            stuck = axis
+    if stuck >= 0:
+        restart_still(still)  # its stretch is none to learn from; told anew when it goes on
+    elif moves:
+        move(still)
+    return int(stuck)
+
+
+def move(still: Record) -> None:
+    """Count how far the axes that have moved have gone, and for each how far all had while it was still."""
+    before = still.gone
+    for axis in range(6):
+        if still.moved[axis]:
+            share = abs(still.latest[axis] - still.at[axis]) / still.usual[axis]
+            still.gone += share if share < 1.0 else 1.0
+            still.at[axis] = still.latest[axis]
+    for axis in range(6):
+        if still.moved[axis]:
+            still.farthest[axis] = greater(still.farthest[axis], before - still.since[axis])
+            still.since[axis], still.until[axis] = still.gone, still.gone + still.may_go[axis]
+
+
+def hop(core: Record) -> int:
+    """What an axis goes through in a stride is learnt while most move; one that then hardly moves is stuck."""
+    still, bounds, ranges, ranked = core.still, core.bounds, core.still.ranges, core.still.ranked
+    at = 6 * (still.hops % HOPS)
+    for axis in range(6):
+        still.low[at + axis], still.high[at + axis] = still.now_low[axis], still.now_high[axis]
+    still.hops += 1
+    still.means = still.ns = 0
+    if still.hops < HOPS:
+        return -1
+    for axis in range(6):
+        low, high = still.low[axis], still.high[axis]
+        for k in range(axis + 6, 6 * HOPS, 6):
+            low, high = -greater(-low, -still.low[k]), greater(high, still.high[k])
+        ranges[axis] = high - low
+    if not still.usual_known:
+        least_moves = greater(greater(ranges[0], ranges[1]), ranges[2]) <= bounds.moves_mps2
+        if least_moves or greater(greater(ranges[3], ranges[4]), ranges[5]) <= bounds.moves_radps:
+            return -1
+        still.usual_known = True
+        for axis in range(6):
+            still.usual[axis] = greater(ranges[axis], 1e-6)
+    for axis in range(6):
+        share, k = ranges[axis] / still.usual[axis], axis
+        while k > 0 and ranked[k - 1] > share:
+            ranked[k] = ranked[k - 1]
+            k -= 1
+        ranked[k] = share
+    middle = 0.5 * (ranked[2] + ranked[3])
+    if middle > bounds.others_move:
+        if still.hops_known >= bounds.usual_hops and ranked[0] < bounds.least_share * middle:
+            axis = 0
+            while ranges[axis] / still.usual[axis] != ranked[0]:
+                axis += 1
+            return axis
+        still.hops_known += 1
+        for axis in range(6):
+            still.usual[axis] += bounds.follow * (ranges[axis] - still.usual[axis])
+    rarely = bounds.still_sum if still.gone > bounds.known_sum else bounds.still_sum_at_first
+    for axis in range(6):
+        usual, least = still.usual[axis], bounds.least_mps2 if axis < 3 else bounds.least_radps
+        still.least[axis] = greater(bounds.move_share * usual, least)
+        way = bounds.most_still * greater(rarely, still.farthest[axis])
+        still.may_go[axis] = way if usual >= bounds.lives * least else math.inf
+    return -1
+
+
+def square(a: Vec, first: int) -> float:
+    """Of the size of (3,) numbers from the ``first`` on."""
+    x, y, z = a[first], a[first + 1], a[first + 2]
+    return float(x * x + y * y + z * z)
+
+
+def apart(a: Vec, b: Vec, most: float) -> bool:
     """Whether they differ by more than this along any axis."""
-    return abs(a[0] - b[0]) > most or abs(a[1] - b[1]) > most or abs(a[2] - b[2]) > most
+    return bool(abs(a[0] - b[0]) > most or abs(a[1] - b[1]) > most or abs(a[2] - b[2]) > most)
+
+
+def greater(a: float, b: float) -> float:
+    """The greater one; the first where the second is no number."""
+    return b if b > a else a
+
+
+# Compiled here and not by a decorator, for the mutation test passes over functions that have one.
+_ALL = (
+    coherent, forget_person, restart, clear_block, repeat, at_band, frozen, contradicted, begin_means, dead,
+    scaled, misfit, turn, restart_still, still_axis, move, hop, square, apart, greater,
+)  # fmt: skip
+globals().update({each.__name__: jit_ieee(each) for each in _ALL})

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
 
-from fes.gate.coherence import Coherence
+from judges import Coherence
+
 from fes.signals import G_MPS2, NS_PER_S, ImuSample
 
 SAID = Path(__file__).with_name("coherence_said.json")

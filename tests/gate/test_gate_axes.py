@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from judges import Axes
 
-from fes.gate import plausibility as axes
-from fes.gate.plausibility import LEAST_FORCE_MPS2, LEAST_RATE_RADPS, MOST_APART_NS, Axes, Plausibility
+from fes.gate.plausibility import BOUNDS, Plausibility
 from fes.signals import ImuSample, Vector3
 
 MS = 1_000_000
+LEAST_FORCE, LEAST_RATE = math.sqrt(BOUNDS.least_force2), math.sqrt(BOUNDS.least_rate2)
 FORCE: Vector3 = (6.0, -7.0, 12.0)
 RATE: Vector3 = (3.0, 5.0, -2.0)
 TURNED = ((-7.0, 12.0, 6.0), (5.0, -2.0, 3.0))  # y, z, x of them
@@ -49,9 +50,9 @@ def apart(a: Vector3, b: Vector3) -> float:
     return sum((x - y) ** 2 for x, y in zip(a, b, strict=True))
 
 
-def told(pairs: list[Pair], step_ns: int = 10 * MS) -> list[int]:
+def told(pairs: list[Pair], step_ns: int = 10 * MS, **bounds: Any) -> list[int]:
     """At which of these samples it is said that the axes changed."""
-    judge, at = Axes(), []
+    judge, at = Axes(bounds=BOUNDS._replace(**bounds)), []
     for k, (acc, gyr) in enumerate(pairs):
         said = judge.fault(ImuSample(0, "left_foot", 5 + k * step_ns, acc, gyr))
         assert said in ("", SAID)
@@ -219,7 +220,7 @@ def test_small_forces_and_rates_do_not_count_as_jumps() -> None:
     """Of the least size, two axes exchanged jump by 2; a size of 0.5916 of it just reaches 0.7."""
     zero = (0.0, 0.0, 0.0)
     for share, expected in ((0.593, [4]), (0.590, [])):
-        force, rate = share * LEAST_FORCE_MPS2, share * LEAST_RATE_RADPS
+        force, rate = share * LEAST_FORCE, share * LEAST_RATE
         assert told([((force, 0.0, 0.0), zero)] * 2 + [((0.0, force, 0.0), zero)] * 3) == expected
         assert told([(zero, (rate, 0.0, 0.0))] * 2 + [(zero, (0.0, rate, 0.0))] * 3) == expected
 
@@ -233,34 +234,44 @@ def test_the_larger_of_both_sizes_counts() -> None:
     assert told([(zero, zero)] * 2 + [(zero, RATE)] * 3) == []
 
 
-def test_at_a_bound_it_is_still_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_at_a_bound_it_is_still_told() -> None:
     """With bounds that binary numbers can hold: the jump is 2 of its size, or 3 halves with a third of them left."""
     zero, along, across = (0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 0.0)
-    monkeypatch.setattr(axes, "LEAST_JUMP", 2.0)
-    assert told([(along, zero)] * 2 + [(across, zero)] * 3) == [4]
-    monkeypatch.setattr(axes, "SMOOTH", 0.125)
-    assert told([(moved(along, -2.0), zero), (along, zero)] + [(across, zero)] * 3) == [4]
-    assert told([(along, zero)] * 2 + [(across, zero)] + [(moved(across, 2.0, 2), zero)] * 2) == [4]
-    monkeypatch.setattr(axes, "LEAST_JUMP", 0.7)
-    monkeypatch.setattr(axes, "EXPLAINED", 1 / 3)
-    assert told([(along, zero)] * 2 + [((0.0, 4.0, 4.0), zero)] * 3) == [4]
-    monkeypatch.setattr(axes, "AGAINST", 0.0)
-    assert told([(along, zero)] * 2 + [(across, zero)] * 3) == [4]
+    jump: dict[str, Any] = {"least_jump": 2.0}
+    assert told([(along, zero)] * 2 + [(across, zero)] * 3, **jump) == [4]
+    jump["smooth"] = 0.125
+    assert told([(moved(along, -2.0), zero), (along, zero)] + [(across, zero)] * 3, **jump) == [4]
+    assert told([(along, zero)] * 2 + [(across, zero)] + [(moved(across, 2.0, 2), zero)] * 2, **jump) == [4]
+    assert told([(along, zero)] * 2 + [((0.0, 4.0, 4.0), zero)] * 3, smooth=0.125, explained=1 / 3) == [4]
+    assert told([(along, zero)] * 2 + [(across, zero)] * 3, smooth=0.125, against=0.0) == [4]
 
 
 @pytest.mark.parametrize("least", [2.0, 3.0])
-def test_the_least_sizes_are_squared(monkeypatch: pytest.MonkeyPatch, least: float) -> None:
+def test_the_least_sizes_are_squared(least: float) -> None:
     zero = (0.0, 0.0, 0.0)
-    monkeypatch.setattr(axes, "_LEAST_FORCE2", least**2)
-    monkeypatch.setattr(axes, "_LEAST_RATE2", least**2)
     for share, expected in ((0.593, [4]), (0.590, [])):
         size = share * least
-        assert told([((size, 0.0, 0.0), zero)] * 2 + [((0.0, size, 0.0), zero)] * 3) == expected
-        assert told([(zero, (size, 0.0, 0.0))] * 2 + [(zero, (0.0, size, 0.0))] * 3) == expected
+        assert (
+            told(
+                [((size, 0.0, 0.0), zero)] * 2 + [((0.0, size, 0.0), zero)] * 3,
+                least_force2=least**2,
+                least_rate2=least**2,
+            )
+            == expected
+        )
+        assert (
+            told(
+                [(zero, (size, 0.0, 0.0))] * 2 + [(zero, (0.0, size, 0.0))] * 3,
+                least_force2=least**2,
+                least_rate2=least**2,
+            )
+            == expected
+        )
 
 
 @pytest.mark.parametrize(
-    ("apart_ns", "seen"), [(MOST_APART_NS, True), (MOST_APART_NS + 1, False), (1, True), (0, False), (-9, False)]
+    ("apart_ns", "seen"),
+    [(BOUNDS.most_apart_ns, True), (BOUNDS.most_apart_ns + 1, False), (1, True), (0, False), (-9, False)],
 )
 def test_only_samples_that_follow_each_other_are_compared(apart_ns: int, seen: bool) -> None:
     pairs = [(FORCE, RATE)] * 2 + [TURNED] * 3

@@ -491,7 +491,7 @@ def test_sensor_turned_in_swing_is_told_before_the_next_burst_though_it_never_re
         bench.sample(
             acc_mps2=(9.0 + 0.25 * z, y, 0.25 * (30.0 - x)), gyr_radps=(0.0, 2.0 + 0.3 * turn(bench.t_ns)[1], 0.0)
         )
-    assert_latched(bench, bench.ask(current_ma=1.0), "left_foot moves turned by more than 65° from its calibration")
+    assert_latched(bench, bench.ask(current_ma=1.0), "left_foot shows turned by more than 65° from its calibration")
 
 
 @pytest.mark.requirement("SR-10")

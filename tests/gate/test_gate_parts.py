@@ -8,13 +8,15 @@ from typing import Any
 
 import pytest
 from gate_bench import ASKED, LOOSE, MS, Bench, make_channel, make_limits, unchecked_channel
+from judges import Force, all_codes
 
 from fes.config import Exercise, ImuDevice, Session, Stimulation
 from fes.gate import SafetyGate, gate_of
+from fes.gate.bounds import MOST_SAMPLES, words
 from fes.gate.channel import ROUNDING_MA, Dose
 from fes.gate.electrical import NUMBER_BOUND, is_number, no_number, shown
 from fes.gate.freshness import Freshness, Stamps
-from fes.gate.plausibility import FOOT, MOST_SAMPLES, MOST_TILT_RAD, SHANK, Force, Plausibility, Plausible
+from fes.gate.plausibility import BOUNDS, Plausibility, Plausible, place_of
 from fes.signals import (
     G_MPS2,
     NS_PER_S,
@@ -316,7 +318,7 @@ def test_mean_force_forgets_in_300_ms(axis: int, sign: int) -> None:
     left = math.log(1 / (1 + math.tan(MEAN_TILT))) / math.log(1 - 10 / 300)
     assert averaged(level, math.ceil(left) + 7).not_ready == ""
     assert averaged(level, math.ceil(left) + 8).not_ready == (
-        "left_foot moves turned by more than 65° from its calibration: remounted?"
+        "left_foot shows turned by more than 65° from its calibration: remounted?"
     )
 
 
@@ -411,16 +413,16 @@ def first(said: list[str]) -> int | None:
 
 @pytest.mark.parametrize("sensor", ["left_foot", "right_shank"])
 def test_bounds_of_the_force_are_no_fault_themselves(sensor: str) -> None:
-    bounds = SHANK if "shank" in sensor else FOOT
-    assert first(told([bounds.weak] * 20, sensor)) is None
-    assert first(told([math.nextafter(bounds.weak, 0)] * 20, sensor)) == 8
-    assert first(told([bounds.strong] * 20, sensor)) is None
-    assert first(told([math.nextafter(bounds.strong, 99)] * 20, sensor)) == 8
-    down, up = 4.5 * bounds.low, bounds.high / 4.5
-    assert first(told([down] * 5 + [bounds.low] * 20, sensor)) is None
-    assert first(told([down] * 5 + [math.nextafter(bounds.low, 0)] * 20, sensor)) == 13
-    assert first(told([up] * 5 + [bounds.high] * 20, sensor)) is None
-    assert first(told([up] * 5 + [math.nextafter(bounds.high, 99)] * 20, sensor)) == 13
+    bounds = place_of(sensor, None, None)
+    assert first(told([bounds.weak_mps2] * 20, sensor)) is None
+    assert first(told([math.nextafter(bounds.weak_mps2, 0)] * 20, sensor)) == 8
+    assert first(told([bounds.strong_mps2] * 20, sensor)) is None
+    assert first(told([math.nextafter(bounds.strong_mps2, 99)] * 20, sensor)) == 8
+    down, up = 4.5 * bounds.low_mps2, bounds.high_mps2 / 4.5
+    assert first(told([down] * 5 + [bounds.low_mps2] * 20, sensor)) is None
+    assert first(told([down] * 5 + [math.nextafter(bounds.low_mps2, 0)] * 20, sensor)) == 13
+    assert first(told([up] * 5 + [bounds.high_mps2] * 20, sensor)) is None
+    assert first(told([up] * 5 + [math.nextafter(bounds.high_mps2, 99)] * 20, sensor)) == 13
 
 
 def test_a_step_is_more_than_four_times() -> None:
@@ -569,8 +571,8 @@ def test_a_sensor_that_floods_takes_no_more_memory() -> None:
     force = Force("left_foot")
     for _ in range(3 * MOST_SAMPLES):
         assert felt(force, ImuSample(S, "left_foot", S, UP, UP), 1.0) == ""
-    assert len(force._seen) == MOST_SAMPLES
-    assert sum(force._counts) == MOST_SAMPLES
+    assert force.one.unit.filled == MOST_SAMPLES
+    assert sum(force.one.unit.counts) == MOST_SAMPLES
     assert felt(force, ImuSample(S + 80 * MS, "left_foot", S, UP, UP), 1.0)
 
 
@@ -580,6 +582,19 @@ def test_a_rate_that_lasts_is_bounded_about_each_axis(axis: int) -> None:
     assert fault(UP, along(axis, -15.1), None) == ("left_foot turns at more than 15 rad/s for 80 ms: is its unit °/s?")
 
 
+@pytest.mark.parametrize(("t_ns", "tells"), [(2**62 - 1, False), (2**62, True), (-(2**62), True), (2**99, True)])
+def test_a_stamp_beyond_any_clock_is_told_and_never_raises(t_ns: int, tells: bool) -> None:
+    for one in (sample(t_ns, 0, UP, UP), sample(0, t_ns, UP, UP)):
+        assert Plausibility("left_foot", None, None).fault(one) == "left_foot's stamps are beyond any clock" * tells
+
+
+@pytest.mark.parametrize("code", all_codes())
+def test_there_are_words_for_every_code(code: int) -> None:
+    assert "left_foot" in words(code, "left_foot", 1.5)
+    assert "{" not in words(code, "left_foot", 1.5)
+    assert words(0, "left_foot", 1.5) == ""
+
+
 def test_nothing_is_doubted_before_the_first_sample() -> None:
     assert Plausibility("left_foot", None, None).not_ready == ""
     assert Plausible((), {}).reason_not_ready("left_foot") == ""
@@ -587,11 +602,11 @@ def test_nothing_is_doubted_before_the_first_sample() -> None:
 
 def test_the_least_tilt_that_is_doubted() -> None:
     """An ``up`` that is short makes the cosine exact: the force itself lies along it."""
-    cosine = math.cos(MOST_TILT_RAD)
+    cosine = BOUNDS.upright
     still = (0.0, 0.0, 0.0)
     assert lasting((9.5, 0.0, 0.0), still, up=(cosine, 0.0, 0.0)).not_ready == ""
     assert lasting((9.5, 0.0, 0.0), still, up=(cosine - 1e-12, 0.0, 0.0)).not_ready == (
-        "left_foot rests turned by more than 65° from its calibration: remounted?"
+        "left_foot shows turned by more than 65° from its calibration: remounted?"
     )
 
 
@@ -600,7 +615,7 @@ def test_every_axis_counts_for_a_rest(up: Vector3) -> None:
     """Upright lies along two axes, most of it along one; that one's share must not be taken away."""
     x, y, z = (G_MPS2 * u for u in up)
     assert lasting((x, y, z), (0.0, 0.0, 0.0), up=up).not_ready == ""
-    assert "rests" in lasting((-x, -y, -z), (0.0, 0.0, 0.0), up=up).not_ready
+    assert "shows turned" in lasting((-x, -y, -z), (0.0, 0.0, 0.0), up=up).not_ready
 
 
 @pytest.mark.parametrize(
@@ -616,13 +631,13 @@ def test_every_axis_counts_for_a_rest(up: Vector3) -> None:
 )
 def test_what_rests(force_mps2: float, rate_radps: float, rests: bool) -> None:
     judge = lasting((0.0, 0.0, -force_mps2), (0.0, -rate_radps, 0.0), up=(0.0, 0.0, 1.0))
-    assert ("rests" in judge.not_ready) is rests
+    assert ("shows turned" in judge.not_ready) is rests
 
 
 def test_rest_includes_its_own_bound() -> None:
     force_mps2 = G_MPS2 + 1.5
     assert force_mps2 - G_MPS2 == 1.5
-    assert "rests" in lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).not_ready
+    assert "shows turned" in lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).not_ready
 
 
 # --- words --------------------------------------------------------------------------------------------------

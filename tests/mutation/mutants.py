@@ -31,7 +31,7 @@ PARTS = {
     "coherence": (["fes/gate/coherence.py"], ["tests/gate/test_gate_coherence.py"]),
     "movement": (["fes/gate/movement.py"], ["tests/gate/test_gate_movement.py"]),
     "plausibility": (
-        ["fes/gate/plausibility.py"],
+        ["fes/gate/plausibility.py", "fes/gate/bounds.py"],
         ["tests/gate/test_gate_axes.py", "tests/gate/test_gate_data.py", "tests/gate/test_gate_parts.py"],
     ),
     "gate": (
@@ -102,6 +102,7 @@ def mutmut(work: Path, *arguments: str, echo: bool = False) -> str:
     """Run mutmut there; what it printed."""
     command = [sys.executable, "-m", "mutmut", *arguments]
     environment = os.environ | {"PYTHONPATH": "", "PYTHONWARNINGS": "ignore", "OMP_NUM_THREADS": "1"}
+    environment["NUMBA_DISABLE_JIT"] = "1"  # a mutant of compiled code is read as it stands
     done = subprocess.run(command, cwd=work, env=environment, stdout=subprocess.PIPE, text=True, check=False)
     if echo or done.returncode:
         print(done.stdout[-3000:])

@@ -192,7 +192,7 @@ def _warn_unkept(error: Exception) -> None:
 def _sources() -> list[Path]:
     """All that compiled code may be made of: a constant's new value, too, is no change of the function that has it."""
     root = Path(__file__).parents[3]
-    beside = ("fes/estimation", "fes/analysis", "fes/simulation/forward", "statemachine")
+    beside = ("fes/estimation", "fes/gate", "fes/analysis", "fes/simulation/forward", "statemachine")
     found = [path for folder in beside for path in sorted((root / folder).rglob("*.py"))]
     return [*found, Path(fes.signals.__file__)]
 

@@ -1,0 +1,137 @@
+"""The gate's compiled rules one by one, each on a record of its own; and the same records for plain Python.
+
+With NUMBA_DISABLE_JIT, as for coverage and mutants, a record is a namespace with lists: numpy's would take a minute.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from struct import pack
+from types import SimpleNamespace
+from typing import Any
+
+import numba
+import numpy as np
+
+from fes.config import ImuDevice
+from fes.gate import plausibility
+from fes.gate.bounds import AXIS_DEAD, CORE, EXCHANGED, Bounds, words
+from fes.gate.coherence import coherent, forget_person, misfit, restart, still_axis
+from fes.gate.plausibility import BOUNDS, axes_changed, place_of, wrong_unit
+from fes.signals import ImuSample, Vector3
+
+PLAIN = bool(vars(numba.config)["DISABLE_JIT"])
+
+
+class PlainCore:
+    """Stands for an array (1,) of such a record."""
+
+    def __init__(self, kind: np.dtype[Any], **parts: tuple[float, ...]) -> None:
+        self.one = zeros(kind)
+        for name, values in parts.items():
+            setattr(self.one, name, values)
+        self.data = self
+
+    def view(self, kind: type) -> PlainCore:
+        return self
+
+    def __getitem__(self, key: int | str) -> Any:
+        return [getattr(self.one, key)] if isinstance(key, str) else self.one
+
+
+def zeros(kind: np.dtype[Any]) -> Any:
+    """A record's namespace: numbers, lists of numbers, namespaces."""
+    if kind.fields is not None:
+        return SimpleNamespace(**{name: zeros(kind.fields[name][0]) for name in kind.names or ()})
+    zero = {"f": 0.0, "i": 0, "b": False}[kind.base.kind]
+    return [zero] * kind.shape[0] if kind.shape else zero
+
+
+def put(target: PlainCore, offset: int, *values: Any) -> None:
+    """Into a plain core, what fits into a record."""
+    pack("qq6d", *values)
+    t_ns, t_sensor_ns, *six = values
+    target.one.sample = SimpleNamespace(t_ns=t_ns, t_sensor_ns=t_sensor_ns, acc=six[:3], gyr=six[3:])
+
+
+def use_plain_cores() -> None:
+    """Where nothing is compiled."""
+    vars(plausibility).update(new_core=PlainCore, pack_sample=put)
+
+
+class Judge:
+    """A record of one sensor that nothing has been said of yet."""
+
+    def __init__(
+        self, sensor: str = "left_foot", range_g: float = math.inf, bounds: Bounds = BOUNDS, up: Vector3 | None = None
+    ) -> None:
+        place = place_of(sensor, None, up)
+        if range_g < math.inf:
+            device = ImuDevice(
+                sensor="left_foot", device="xbus", port="x", rate_hz=100, acc_range_g=range_g, gyr_range_dps=2000
+            )
+            place = place_of(sensor, device, up)
+        self.sensor = sensor
+        self.core = vars(plausibility)["new_core"](CORE, bounds=bounds, place=place)
+        self.one: Any = self.core[0]
+        forget_person(self.one)
+        restart(self.one)
+
+    def take(self, sample: ImuSample) -> None:
+        data = self.core.view(np.uint8).data
+        vars(plausibility)["pack_sample"](data, 0, sample.t_ns, sample.t_sensor_ns, *sample.acc_mps2, *sample.gyr_radps)
+
+    def said(self, code: int) -> str:
+        return words(code, self.sensor, float(self.one.told))
+
+
+class Coherence(Judge):
+    """The two triads against each other."""
+
+    def fault(self, sample: ImuSample) -> str:
+        self.take(sample)
+        return self.said(coherent(self.one))
+
+    @property
+    def not_ready(self) -> str:
+        return self.said(int(self.one.frozen))
+
+
+class MeanForce(Judge):
+    """The mean force, turned along."""
+
+    def wrong(self, force: Vector3, rate: Vector3, rate_radps: float, block_ns: int) -> float:
+        return misfit(self.one, *force, *rate, rate_radps, block_ns)
+
+
+class Stillness(Judge):
+    """Axes that are still while the others move."""
+
+    def stuck(self, means: tuple[float, float, float, float, float, float], block_ns: int) -> int:
+        return still_axis(self.one, *means, block_ns)
+
+
+class Force(Judge):
+    """The force's unit."""
+
+    def fault(self, sample: ImuSample, force_mps2: float, most_mps2: float) -> str:
+        self.take(sample)
+        self.one.told = force_mps2
+        return self.said(wrong_unit(self.one, force_mps2, most_mps2))
+
+
+class Axes(Judge):
+    """Axes that are exchanged."""
+
+    def fault(self, sample: ImuSample) -> str:
+        self.take(sample)
+        return self.said(EXCHANGED if axes_changed(self.one) else 0)
+
+
+def all_codes() -> Iterator[int]:
+    """Of which there are words."""
+    from fes.gate.bounds import AXIS_FROZEN, SAID
+
+    for code in SAID:
+        yield from (code + axis for axis in range(1 if code < AXIS_FROZEN else 3 if code == AXIS_DEAD else 6))
