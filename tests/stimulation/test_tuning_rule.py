@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tuning_plant import BOUNDS, Plant, Tuned, channel, charge_of, stride, tuning
 
-from fes.signals import MID_SWING_END, OperatorAct, OperatorAction
+from fes.signals import OperatorAct, OperatorAction
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.report import Seen
 from fes.stimulation.tuning.rule import TRANSITIONS, Event, OwnRule, State
@@ -52,7 +52,7 @@ def test_what_is_missing_is_given_at_once_as_far_as_one_stride_may() -> None:
     assert tuned.parameters.current_ma == 32.0
     (change,) = [report for report in tuned.said if report.kind == "change"]
     assert change.text == (
-        "toe clearance 1 mm (target 12–35), 24 mm is aimed at, more is needed: current 30.0 → 32.0 mA"
+        "toe clearance 1 mm (target 12–35), 22 mm is aimed at, more is needed: current 30.0 → 32.0 mA"
     )
 
 
@@ -116,7 +116,7 @@ def test_the_tail_begins_where_the_front_has_carried_the_toe_over() -> None:
     for number in range(12):
         tuned.walk(stride(number, levelled(0.5), pitch_deg=20.0))
     widths = tuned.parameters.widths_us
-    until_s = 0.4 + MID_SWING_END * 0.5 - OWN.answer_s  # pre-swing of 0.4 s, swing of 0.5 s
+    until_s = 0.4 + OWN.carried * 0.5 - OWN.answer_s  # pre-swing of 0.4 s, swing of 0.5 s
     assert sum(width == widths[0] for width in widths) == round(until_s / 0.05)
 
 

@@ -12,7 +12,7 @@ from statistics import median
 from typing import Final
 
 from fes.config import Channel, Tuning
-from fes.signals import MID_SWING_END, NS_PER_S, StrideResult
+from fes.signals import NS_PER_S, StrideResult
 from fes.stimulation.envelope import BIN_S, BurstParameters
 from fes.stimulation.tuning.report import Proposal, Seen
 from fes.stimulation.tuning.settings import OWN, RuleSettings
@@ -200,7 +200,7 @@ class OwnRule:
         if self._phases:
             pre_s, swing_s, _ = self._usual_phases_s()
             begun_s = base.start_delay_s + (pre_s if self._channel.start_phase == "swing" else 0.0)
-            bins = round((pre_s + MID_SWING_END * swing_s - self._own.answer_s - begun_s) / BIN_S)
+            bins = round((pre_s + self._own.carried * swing_s - self._own.answer_s - begun_s) / BIN_S)
             carried = min(max(bins, 0), carried)
         front, most_us = min(drives.front, 1.0), bounds.pulse_width_us.high
         first_us, last_us = front * most_us, drives.tail * most_us

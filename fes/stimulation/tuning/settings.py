@@ -13,15 +13,16 @@ from typing import Final
 class RuleSettings:
     """Of one channel; strides where no unit is named."""
 
-    toe_aim: float = 0.5  # level: the middle, for too low and too high are alike misses (chosen; TUNER has 0.45)
-    pitch_aim: float = 0.2  # level: the heel first, and little more (dev: in 87 of 100 strides; at 0.12, TUNER, in 74)
+    toe_aim: float = 0.45  # level: a little under the middle (TUNER)
+    pitch_aim: float = 0.15  # level: the heel first, and little more (dev: in 81 of 100; in 75 at 0.12, TUNER)
     roll_aim: float = 0.5  # level: the middle, for the sides of this band are alike (chosen)
     near: float = 0.1  # level below its aim at which a measure asks for more (TUNER), if it has `lately` …
     far: float = 0.4  # … and at which it asks at once, for one stride in ten is lower by chance (dev)
     much: float = 0.06  # level above its aim from which less will do (TUNER)
     drive_per_band: float = 0.5  # drive that lifts by one band (TUNER)
     eased: float = 0.03  # drive: the most taken away with one stride (TUNER)
-    pitch_leads: float = 0.7  # toe's level up to which the front may also rise for the pitch (TUNER: its aim + 0.1)
+    pitch_leads: float = 0.55  # toe's level up to which the front may also rise for the pitch (TUNER: its aim + 0.1)
+    carried: float = 0.6  # share of the swing to which the front lasts; the tail holds the foot from there on (TUNER)
     answer_s: float = 0.12  # s from a pulse to what it does to the foot (TUNER)
     outlives_s: float = 0.13  # s by which force outlives the pulses (TUNER)
     up_at: float = 0.25  # share of the swing by which the foot is to be up (TUNER)
