@@ -190,6 +190,46 @@ class FootSwitchInput:
         return [FootSwitchEvent(t_ns, self._foot, self._pressed)]
 
 
+class WitnessInput:
+    """What the witness of the foot sensors says (``fes.live.witness_process``); ``told`` gets what surely lies.
+
+    It is heard for as long as its process lives: a session goes on without it, and says so.
+    """
+
+    def __init__(self, link: socket.socket, told: Callable[[int, str], list[Event]]) -> None:
+        self._link: socket.socket | None = link
+        self._told = told
+        self._lies: dict[str, str] = {}
+        self._unknown: dict[str, str] = {}
+
+    def fileno(self) -> int | None:
+        """While there is one."""
+        return None if self._link is None else self._link.fileno()
+
+    def read_events(self, t_ns: int) -> list[Event]:
+        """A lie that was not told before."""
+        if self._link is None:
+            return []
+        try:
+            said = json.loads(self._link.recv(4096))
+            sensor, lies, unknown = str(said["sensor"]), str(said["lies"]), str(said["unknown"])
+        except BlockingIOError:
+            return []
+        except (OSError, ValueError, KeyError, TypeError):  # its end, or no message of its own
+            self._link = None
+            return []
+        before, self._lies[sensor], self._unknown[sensor] = self._lies.get(sensor, ""), lies, unknown
+        return self._told(t_ns, f"{sensor}: {lies}") if lies and not before else []
+
+    def now(self) -> list[str]:
+        """What lies, and of which sensor it cannot be told yet."""
+        if self._link is None:
+            return ["the witness has ended: whether a foot sensor's lag, gain or bias lies is not known"]
+        unknown = "whether its lag, gain, bias or axes lie is not known"
+        lying = [f"{sensor}: {lies}; lengths and clearance are wrong" for sensor, lies in self._lies.items() if lies]
+        return lying + [f"{sensor}: {unknown} ({why})" for sensor, why in self._unknown.items() if why]
+
+
 def printable(text: str) -> str:
     """The same, with escapes for what is no Unicode: a file's name may be any bytes, a log's text may not."""
     return text.encode("utf-8", "backslashreplace").decode()

@@ -29,6 +29,7 @@ class Notices:
         self.lasting: list[str] = []
         self.log = ""  # what its disk is behind with
         self.proof: Callable[[], str] = str  # what a person has to show before arming
+        self.witness: Callable[[], list[str]] = list  # what it says of the foot sensors
         self._gate = gate
         self._of_feet = of_feet
         self._losses: dict[SensorStream, int] = {}
@@ -43,7 +44,7 @@ class Notices:
         lost = (stream.why_lost for stream in self.streams)
         of_session = self.electrodes.unknown(), self.log, self.proof(), *self.lasting
         of_sensors = (notice for stream in self.streams for notice in stream.notices)
-        return list(filter(None, (*self._of_feet(), *flags, *lost, *of_sensors, *of_session)))
+        return list(filter(None, (*self._of_feet(), *flags, *lost, *of_sensors, *self.witness(), *of_session)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

@@ -315,7 +315,16 @@ class Operator:
         if not why:
             return []
         self._zero_moved = f"{why}; tuning is frozen"
-        frozen = all(tuner.frozen for tuner in tuners.values())
+        return self._frozen(t_ns, why)
+
+    def distrust(self, t_ns: int, why: str) -> list[Event]:
+        """The witness has found that a sensor lies: said, and nothing is tuned by it; a person may resume."""
+        self.message = why
+        self.note(Note(t_ns, "warning", "witness", f"{why}; lengths and clearance are wrong, nothing is tuned by them"))
+        return self._frozen(t_ns, why)
+
+    def _frozen(self, t_ns: int, why: str) -> list[Event]:
+        frozen = all(tuner.frozen for tuner in self.controller.tuning.tuners.values())
         return [] if frozen else [OperatorAct(t_ns, OperatorAction.FREEZE_TUNING, why=why)]
 
     def _armed(self, t_ns: int) -> None:

@@ -61,15 +61,19 @@ def end_helper(process: subprocess.Popen[bytes], link: socket.socket, farewell: 
     link.close()
 
 
-class ViewProcess:
-    """The terminal view while entered; ``link`` takes status datagrams and never blocks."""
+class HelperProcess:
+    """A module that helps the session while this is entered; ``link`` takes and gives datagrams and never blocks.
 
-    def __init__(self) -> None:
-        self.link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    It is given its end of the link, this process's number and ``arguments``; an empty datagram, or the link's end,
+    says that the session is over.
+    """
+
+    def __init__(self, module: str, *arguments: str, kind: socket.SocketKind = socket.SOCK_DGRAM) -> None:
+        self.link, theirs = socket.socketpair(socket.AF_UNIX, kind)
         self.link.setblocking(False)
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "fes.live.terminal_view", str(theirs.fileno()), str(os.getpid())],
+                [sys.executable, "-m", module, str(theirs.fileno()), str(os.getpid()), *arguments],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,

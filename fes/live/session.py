@@ -14,12 +14,12 @@ from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.gate import gate_of
 from fes.live.commands import CURRENT_ALLOWED
-from fes.live.inputs import Control, Keyboard, StopFile, StopSwitch
+from fes.live.inputs import Control, Keyboard, StopFile, StopSwitch, WitnessInput
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.notices import Notices
 from fes.live.operator import NO_STOP, Operator
-from fes.live.processes import ViewProcess
+from fes.live.processes import HelperProcess
 from fes.live.realtime import Grant
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.sensors import Input, SensorStream
@@ -72,7 +72,7 @@ class LiveSession:
         log: PipedLog,
         stimulator: LiveStimulator,
         clock_ns: Callable[[], int],
-        view: ViewProcess | None = None,
+        view: HelperProcess | None = None,
         duration_s: float | None = None,
         *,
         current_step_ma: float = CURRENT_STEP_MA,
@@ -134,6 +134,12 @@ class LiveSession:
         """
         self._control = Control(path, self.operator.execute)
         self._inputs.append(self._control)
+
+    def add_witness(self, witness: HelperProcess) -> None:
+        """The witness of the foot sensors: it is shown, and what it finds to lie freezes the tuning."""
+        heard = WitnessInput(witness.link, self.operator.distrust)
+        self.notices.witness = heard.now
+        self._inputs.append(heard)
 
     def add_input(self, each: Input) -> None:
         """Anything else that makes something happen: a stop file or button, a foot switch, the dashboard."""

@@ -112,13 +112,15 @@ class LogScan:
     """One pass over a log's whole records, up to the first that is torn or damaged.
 
     Iterating yields (type, payload) with the payload as a view into the file; afterwards ``lost`` says in words
-    what lies behind the last good record, "" if nothing, and ``good_bytes`` how far the file is whole.
+    what lies behind the last good record, "" if nothing, and ``good_bytes`` how far the file is whole. Of a log that
+    grows, another scan goes on ``from_byte``, where the last one found it whole.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, from_byte: int = 0) -> None:
         self.path = path
         self.lost = ""
         self.good_bytes = 0
+        self._begin = max(from_byte, len(MAGIC))
 
     def __iter__(self) -> Iterator[tuple[int, memoryview]]:
         try:
@@ -129,13 +131,14 @@ class LogScan:
                 start = file.read(len(MAGIC))
                 if start != MAGIC:
                     raise wrong_start(self.path, start)
+                file.seek(self._begin)
                 yield from self._records(file, size)
         except OSError as error:
             raise unreadable(self.path, error) from error
 
     def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
         unpack, crc32, known, head = HEAD.unpack_from, zlib.crc32, _KNOWN, HEAD_BYTES
-        at, block_at, block = len(MAGIC), len(MAGIC), memoryview(b"")
+        at, block_at, block = self._begin, self._begin, memoryview(b"")
         while at < size:
             here, fault = at - block_at, ""
             if len(block) - here < head:

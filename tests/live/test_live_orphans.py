@@ -18,9 +18,9 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no
 CONTROLLER = """
 import sys, time
 from contextlib import suppress
-from fes.live.processes import ViewProcess
+from fes.live.processes import HelperProcess
 from fes.live.status import Status
-with ViewProcess() as view:
+with HelperProcess("fes.live.terminal_view") as view:
     print(view.process.pid, file=sys.stderr, flush=True)
     for number in range(10**9):
         with suppress(BlockingIOError):

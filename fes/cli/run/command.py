@@ -3,6 +3,7 @@
 The first part of a live session that was given no calibration: stand still, walk some strides.
 """
 
+import socket
 import subprocess
 import sys
 import time
@@ -34,7 +35,7 @@ from fes.live.exercise import ExerciseClock
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import sides_said, unchecked_side
-from fes.live.processes import ViewProcess
+from fes.live.processes import HelperProcess
 from fes.live.realtime import become_real_time
 from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
@@ -297,7 +298,7 @@ def run_live(
     if options.dashboard:
         dashboard = devices.open_dashboard(folder, session, kind, page_port, stack, calibrations)
     viewed = sys.stdout.isatty() if options.view is None else options.view
-    view = stack.enter_context(ViewProcess()) if viewed else None
+    view = stack.enter_context(HelperProcess("fes.live.terminal_view")) if viewed else None
 
     def open_again() -> Opened:
         opened = line.open(time.monotonic_ns())
@@ -320,7 +321,10 @@ def run_live(
     )
     line.on_own, line.on_fault = live.monitor.command, stimulator.add_fault
     _give_inputs(live, session, options, stop_file, folder, keys, stack)
-    if session.exercise is not None:
+    if session.exercise is None:
+        reads = HelperProcess("fes.live.witness_process", str(log_path), kind=socket.SOCK_SEQPACKET)
+        live.add_witness(stack.enter_context(reads))
+    else:
         live.add_input(ExerciseClock(session.exercise, live.operator))
     if dashboard is not None:
         devices.add_dashboard(live, dashboard)
