@@ -1,8 +1,8 @@
 """The witness of a session's foot sensors, a process of its own: ``… witness_process SOCKET_FD PARENT_PID LOG``.
 
-It reads the log as it grows and hears each foot's sensor again after every stride (:mod:`fes.witness.hearing`). What
-has changed is sent as one datagram of JSON: the sensor, its lies and why they are not known, in words. It decides
-nothing, and runs when nobody else wants the processor.
+It reads the log as it grows and hears each foot's sensor again after its strides (:mod:`fes.witness.hearing`). What has
+changed is sent as one datagram of JSON: the sensor, its lies and why they are not known, in words. It decides nothing,
+runs when nobody else wants the processor, and rests five times as long as it has worked.
 """
 
 import json
@@ -11,6 +11,7 @@ import select
 import signal
 import socket
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from fes.witness.hearing import Hearing
 
 POLL_S: Final = 0.5
+RESTS: Final = 5.0  # times as long as it has worked
 NICE: Final = 19
 New = tuple[dict[str, tuple[IntArray, FloatArray]], dict[str, list[tuple[int, int]]]]
 
@@ -72,7 +74,9 @@ def main() -> None:
     end_with(parent)
     os.nice(NICE)
     hearings: dict[str, Hearing] = {}
-    while not (orphaned(parent) or select.select([link], [], [], POLL_S)[0]):
+    rest_s = POLL_S
+    while not (orphaned(parent) or select.select([link], [], [], rest_s)[0]):
+        begin_s = time.process_time()
         samples, strides = log.look()
         for sensor, (t_ns, values) in samples.items():
             hearing = hearings.get(sensor) or new_hearing(sensor, log.rates_hz.get(sensor, 100.0))
@@ -82,6 +86,7 @@ def main() -> None:
                 said = {"sensor": sensor, "lies": hearing.lies, "unknown": hearing.unknown}
                 with suppress(OSError):  # the session does not read: it is busy, or over
                     link.send(json.dumps(said).encode())
+        rest_s = max(POLL_S, RESTS * (time.process_time() - begin_s))
 
 
 if __name__ == "__main__":

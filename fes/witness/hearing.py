@@ -1,7 +1,7 @@
 """A foot's sensor before the witness while its owner walks: its newest strides, again after each one. No clock, no I/O.
 
-Who asks often is wrong more often: a lie is told when :data:`IN_A_ROW` hearings agree on what it is, and taken back
-when as many say nothing of it.
+Who asks often is wrong more often: what lies is told when :data:`IN_A_ROW` hearings agree on it, and taken back when as
+many say without a doubt that it does not.
 """
 
 from collections import deque
@@ -12,11 +12,12 @@ import numpy as np
 
 from fes.recording.tracks import Track
 from fes.signals import NS_PER_S, FloatArray, IntArray
-from fes.witness.estimate import FEWEST, MOST
-from fes.witness.verdict import Testimony, examine
+from fes.witness.estimate import FEWEST
+from fes.witness.verdict import examine
 
 KEPT_NS: Final = 120 * NS_PER_S  # of samples: as many strides as an estimate is made from, of a slow walker
-IN_A_ROW: Final = 3  # strides (benchmarks/safety/witness.py --live)
+HEARD: Final = 2 * FEWEST  # strides: what begins in the middle of them is told from what always was
+IN_A_ROW: Final = 3  # hearings (benchmarks/safety/witness.py --live)
 
 
 class Hearing:
@@ -27,8 +28,9 @@ class Hearing:
         self._rate_hz = rate_hz
         self._t_ns: IntArray = np.empty(0, np.int64)
         self._values: FloatArray = np.empty((0, 6))
-        self._strides: deque[tuple[int, int]] = deque(maxlen=MOST)
-        self._told: deque[tuple[str, ...]] = deque(maxlen=IN_A_ROW)
+        self._strides: deque[tuple[int, int]] = deque(maxlen=HEARD)
+        self._heard: deque[tuple[str, ...] | None] = deque(maxlen=IN_A_ROW)  # kinds of lies; None: not known
+        self._told: tuple[str, ...] = ()
         self._is_new = False
 
     def add(self, t_ns: IntArray, values: FloatArray, strides: Sequence[tuple[int, int]]) -> None:
@@ -52,15 +54,12 @@ class Hearing:
             return before != (self.lies, self.unknown)
         track = Track(self.sensor, self._rate_hz, self._t_ns, self._t_ns, self._values[:, :3], self._values[:, 3:])
         told = examine(track, borders[:, 0], borders[:, 1])
-        self._told.append(tuple(lie.kind for lie in told.lies))
-        if len(set(self._told)) == 1 and len(self._told) == IN_A_ROW:
-            self.lies = _words(told)
-        self.unknown = "" if told.lies else told.silent
+        kinds = tuple(lie.kind for lie in told.lies)
+        self._heard.append(None if told.silent else kinds)
+        if kinds != self._told and list(self._heard) == [kinds] * IN_A_ROW:
+            self._told, self.lies = kinds, " and ".join(lie.describe() for lie in told.lies)
+        self.unknown = "" if self.lies else told.silent
         return before != (self.lies, self.unknown)
-
-
-def _words(told: Testimony) -> str:
-    return " and ".join(lie.describe() for lie in told.lies)
 
 
 def _too_few(strides: int) -> str:
