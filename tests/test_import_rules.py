@@ -301,6 +301,9 @@ def test_help_loads_nothing_slow() -> None:
 def test_the_gate_loads_neither_controller_nor_drivers() -> None:
     loaded = loaded_after("import fes.gate", *(name for name in modules() if not within(name, {"fes.gate"})))
     names_of_thresholds = {"statemachine", "statemachine.guards"}
-    numerics = {"fes.estimation", *(f"fes.estimation.numerics{name}" for name in ("", ".jit", ".records"))}
+    numerics = {
+        "fes.estimation",
+        *(f"fes.estimation.numerics{name}" for name in ("", ".file_lock", ".jit", ".records")),
+    }
     signals = {"fes", "fes.signals", "fes.limits", "fes.extensions", *of("fes.config")}
     assert loaded == signals | names_of_thresholds | numerics

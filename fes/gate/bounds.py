@@ -142,7 +142,7 @@ _MOUNT = record_type([("known", _B), ("t_ns", _I), ("force", _F, 3)])
 _SAMPLE = record_type([("t_ns", _I), ("t_sensor_ns", _I), ("acc", _F, 3), ("gyr", _F, 3)])
 CORE: Final = record_type([
     ("sample", _SAMPLE), ("bounds", record_of(Bounds)), ("place", record_of(Place)), ("begun", _B), ("frozen", _I),
-    ("told", _F), ("unit", _UNIT), ("axes", _AXES), ("repeats", _REPEATS), ("block", _BLOCK), ("mean", _MEAN),
+    ("value", _F), ("unit", _UNIT), ("axes", _AXES), ("repeats", _REPEATS), ("block", _BLOCK), ("mean", _MEAN),
     ("still", _STILL), ("lasting", _LASTING), ("mount", _MOUNT),
 ])  # fmt: skip
 pack_sample = struct_of(CORE, "sample").pack_into
@@ -154,17 +154,17 @@ AXIS_FROZEN, AXIS_STILL, AXIS_DEAD = 16, 24, 32  # and the axis' number: force x
 CODES: Final = 64  # more than there are
 
 _MS: Final = Bounds().sustained_ns // 1_000_000
-_IN_FRAMES: Final = "force and turn do not fit: {told:.1f} m/s² of gravity: an axis stuck, scaled, its unit?"
+_IN_FRAMES: Final = "force and turn do not fit: {value:.1f} m/s² of gravity: an axis stuck, scaled, its unit?"
 # by code: the words, and the lie that it catches sooner than any other rule, or alone
 SAID: Final[dict[int, tuple[str, str]]] = {
-    TOO_FAST: ("{sensor} turns at {told:.0f} rad/s, which no foot does: is its unit °/s?", "rate in degrees"),
+    TOO_FAST: ("{sensor} turns at {value:.0f} rad/s, which no foot does: is its unit °/s?", "rate in degrees"),
     FAST: (
         f"{{sensor}} turns at more than {Bounds().fast_radps:.0f} rad/s for {_MS} ms: is its unit °/s?",
         "rate in degrees, of a foot that turns slowly",
     ),
-    IN_G: (f"{{sensor}} shows {{told:.2g}} m/s² and less than gravity for {_MS} ms: is its unit g?", "force in g"),
+    IN_G: (f"{{sensor}} shows {{value:.2g}} m/s² and less than gravity for {_MS} ms: is its unit g?", "force in g"),
     TOO_STRONG: (
-        f"{{sensor}} shows {{told:.0f}} m/s² and more than a foot can take for {_MS} ms: wrong unit?",
+        f"{{sensor}} shows {{value:.0f}} m/s² and more than a foot can take for {_MS} ms: wrong unit?",
         "force scaled by g again, or in mg",
     ),
     EXCHANGED: (
@@ -186,7 +186,7 @@ SAID: Final[dict[int, tuple[str, str]]] = {
     DANGLES: ("{sensor} turns and turns without ever touching the ground: does it dangle?", "hanging on its cable"),
     MISFIT: (f"{{sensor}}'s {_IN_FRAMES}", "a triad scaled, a gyroscope's sign or axes, an offset of force"),
     SCALED: (
-        "{sensor} feels {told:.1f} m/s² at rest, gravity is 9.8: is it scaled?",
+        "{sensor} feels {value:.1f} m/s² at rest, gravity is 9.8: is it scaled?",
         "force scaled by less than a unit, at the first rest",
     ),
     NO_CLOCK: ("{sensor}'s stamps are beyond any clock", "stamps whose differences would overflow"),
@@ -197,9 +197,9 @@ SAID: Final[dict[int, tuple[str, str]]] = {
 _AXIS_NAMES: Final = tuple(f"{triad}'s {axis} axis" for triad in ("accelerometer", "gyroscope") for axis in "xyz")
 
 
-def words(code: int, sensor: str, told: float) -> str:
-    """What a code says of this sensor; "" for none. ``told`` is the number that goes with it."""
+def sentence(code: int, sensor: str, value: float) -> str:
+    """What a code says of this sensor; "" for none. ``value`` is the number that goes with it."""
     if not code:
         return ""
     rule = code if code < AXIS_FROZEN else code & ~7
-    return SAID[rule][0].format(sensor=sensor, axis=_AXIS_NAMES[(code - rule) % 6], told=told)
+    return SAID[rule][0].format(sensor=sensor, axis=_AXIS_NAMES[(code - rule) % 6], value=value)

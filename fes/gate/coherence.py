@@ -181,7 +181,7 @@ def contradicted(core: Record) -> int:
         return int(AXIS_STILL + axis)
     felt_mps2 = misfit(core, x, y, z, p, q, r, rate_radps, block_ns)
     if felt_mps2 > 0.0:
-        core.told = felt_mps2
+        core.value = felt_mps2
         code = MISFIT
     else:
         code = dead(core, x, y, z, p, q, r)
@@ -252,9 +252,9 @@ def scaled(core: Record, x: float, y: float, z: float, rate_radps: float, block_
     rest[0], rest[1], rest[2] = rest[0] + x, rest[1] + y, rest[2] + z
     block.rests += 1
     block.resting_ns = resting_ns + block_ns
-    core.told = math.sqrt(u * u + v * v + w * w)
+    core.value = math.sqrt(u * u + v * v + w * w)
     long = block.resting_ns > bounds.long_rest_ns and block.still_ns > bounds.long_rest_ns
-    return SCALED if long and abs(core.told - G_MPS2) > bounds.gravity_off_mps2 else 0
+    return SCALED if long and abs(core.value - G_MPS2) > bounds.gravity_off_mps2 else 0
 
 
 def misfit(

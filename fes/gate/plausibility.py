@@ -31,7 +31,7 @@ from fes.gate.bounds import (
     Bounds,
     Place,
     pack_sample,
-    words,
+    sentence,
 )
 from fes.gate.coherence import coherent, forget_person, greater, restart, square
 from fes.signals import G_MPS2, SHANK_SENSORS, ImuSample, Vector3
@@ -76,9 +76,9 @@ def judge(cores: Vec) -> int:
     moves = lasts(core, _MOVES, t_ns, moves_turned(core, force_mps2))
     code = incoherent
     if rate_radps > bounds.most_rate_radps:
-        code, core.told = TOO_FAST, rate_radps
+        code, core.value = TOO_FAST, rate_radps
     elif unit:
-        code, core.told = unit, force_mps2
+        code, core.value = unit, force_mps2
     elif exchanged:
         code = EXCHANGED
     elif saturated:
@@ -324,19 +324,19 @@ class Plausibility:
     def fault(self, sample: ImuSample) -> str:
         """Take in a finite sample; what cannot be, in words, "" when all can."""
         if not (-FAR_NS < sample.t_ns < FAR_NS and -FAR_NS < sample.t_sensor_ns < FAR_NS):
-            return self._words(NO_CLOCK)
+            return self._sentence(NO_CLOCK)
         pack_sample(self._bytes, 0, sample.t_ns, sample.t_sensor_ns, *sample.acc_mps2, *sample.gyr_radps)
         found = judge(self._core)
         self._unready = found // CODES
-        return self._words(found % CODES) if found else ""
+        return self._sentence(found % CODES) if found else ""
 
     @property
     def not_ready(self) -> str:
         """Why its data are no ground for stimulating now; no fault by itself, for a foot may rest so."""
-        return self._words(self._unready) if self._unready else ""
+        return self._sentence(self._unready) if self._unready else ""
 
-    def _words(self, code: int) -> str:
-        return words(code, self._sensor, float(self._core["told"][0]))
+    def _sentence(self, code: int) -> str:
+        return sentence(code, self._sensor, float(self._core["value"][0]))
 
 
 class Plausible:

@@ -191,14 +191,14 @@ class FootSwitchInput:
 
 
 class WitnessInput:
-    """What the witness of the foot sensors says (``fes.live.witness_process``); ``told`` gets what surely lies.
+    """What the witness of the foot sensors says (``fes.live.witness_process``); ``distrust`` gets what surely lies.
 
     It is heard for as long as its process lives: a session goes on without it, and says so.
     """
 
-    def __init__(self, link: socket.socket, told: Callable[[int, str], list[Event]]) -> None:
+    def __init__(self, link: socket.socket, distrust: Callable[[int, str], list[Event]]) -> None:
         self._link: socket.socket | None = link
-        self._told = told
+        self._distrust = distrust
         self._lies: dict[str, str] = {}
         self._unknown: dict[str, str] = {}
 
@@ -219,7 +219,7 @@ class WitnessInput:
             self._link = None
             return []
         before, self._lies[sensor], self._unknown[sensor] = self._lies.get(sensor, ""), lies, unknown
-        return self._told(t_ns, f"{sensor}: {lies}") if lies and not before else []
+        return self._distrust(t_ns, f"{sensor}: {lies}") if lies and not before else []
 
     def now(self) -> list[str]:
         """What lies, and of which sensor it cannot be told yet."""

@@ -33,13 +33,13 @@ New = tuple[dict[str, tuple[IntArray, FloatArray]], dict[str, list[tuple[int, in
 
 
 class Growing:
-    """A session log while it is written: what is new of its foot sensors at each look."""
+    """A session log while it is written: what is new of its foot sensors each time it is asked."""
 
     def __init__(self, path: Path) -> None:
         self.rates_hz: dict[str, float] = {}
         self._path, self._read = path, 0
 
-    def look(self) -> New:
+    def read_new(self) -> New:
         """Samples and strides by sensor; nothing as long as no log is there."""
         scan, parts = LogScan(self._path, self._read), SampleParts()
         found: dict[int, list[memoryview]] = {RecordType.SAMPLES: [], RecordType.STRIDE: [], RecordType.HEADER: []}
@@ -77,7 +77,7 @@ def main() -> None:
     rest_s = POLL_S
     while not (orphaned(parent) or select.select([link], [], [], rest_s)[0]):
         begin_s = time.process_time()
-        samples, strides = log.look()
+        samples, strides = log.read_new()
         for sensor, (t_ns, values) in samples.items():
             hearing = hearings.get(sensor) or new_hearing(sensor, log.rates_hz.get(sensor, 100.0))
             hearings[sensor] = hearing

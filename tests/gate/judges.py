@@ -16,7 +16,7 @@ import numpy as np
 
 from fes.config import ImuDevice
 from fes.gate import plausibility
-from fes.gate.bounds import AXIS_DEAD, CORE, EXCHANGED, Bounds, words
+from fes.gate.bounds import AXIS_DEAD, CORE, EXCHANGED, Bounds, sentence
 from fes.gate.coherence import coherent, forget_person, misfit, restart, still_axis
 from fes.gate.plausibility import BOUNDS, axes_changed, place_of, wrong_unit
 from fes.signals import ImuSample, Vector3
@@ -83,7 +83,7 @@ class Judge:
         vars(plausibility)["pack_sample"](data, 0, sample.t_ns, sample.t_sensor_ns, *sample.acc_mps2, *sample.gyr_radps)
 
     def said(self, code: int) -> str:
-        return words(code, self.sensor, float(self.one.told))
+        return sentence(code, self.sensor, float(self.one.value))
 
 
 class Coherence(Judge):
@@ -117,7 +117,7 @@ class Force(Judge):
 
     def fault(self, sample: ImuSample, force_mps2: float, most_mps2: float) -> str:
         self.take(sample)
-        self.one.told = force_mps2
+        self.one.value = force_mps2
         return self.said(wrong_unit(self.one, force_mps2, most_mps2))
 
 

@@ -12,7 +12,7 @@ from judges import Force, all_codes
 
 from fes.config import Exercise, ImuDevice, Session, Stimulation
 from fes.gate import SafetyGate, gate_of
-from fes.gate.bounds import MOST_SAMPLES, words
+from fes.gate.bounds import MOST_SAMPLES, sentence
 from fes.gate.channel import ROUNDING_MA, Dose
 from fes.gate.electrical import NUMBER_BOUND, is_number, no_number, shown
 from fes.gate.freshness import Freshness, Stamps
@@ -590,9 +590,9 @@ def test_a_stamp_beyond_any_clock_is_told_and_never_raises(t_ns: int, tells: boo
 
 @pytest.mark.parametrize("code", all_codes())
 def test_there_are_words_for_every_code(code: int) -> None:
-    assert "left_foot" in words(code, "left_foot", 1.5)
-    assert "{" not in words(code, "left_foot", 1.5)
-    assert words(0, "left_foot", 1.5) == ""
+    assert "left_foot" in sentence(code, "left_foot", 1.5)
+    assert "{" not in sentence(code, "left_foot", 1.5)
+    assert sentence(0, "left_foot", 1.5) == ""
 
 
 def test_nothing_is_doubted_before_the_first_sample() -> None:
