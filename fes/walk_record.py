@@ -10,6 +10,7 @@ from fes.signals import FloatArray, IntArray, OperatorAct, StimAlive, StimComman
 from statemachine.phases import PhaseChange
 
 SEVERITIES = ("info", "warning", "fault")
+MARK = "mark"  # the source of a note that a person set: what the patient did, what was changed
 Level = Literal["good", "info", "warning", "alert"]
 
 

@@ -7,6 +7,7 @@ allowed. *running*: a foot is judged to walk, so steps start bursts. *paused*: o
 
 import json
 import re
+import unicodedata
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -106,15 +107,17 @@ class CommandKind(StrEnum):
     RESUME_TUNING = "resume_tuning"
     ACCEPT_SUGGESTION = "accept_suggestion"  # of the chosen channel
     ROLL_BACK = "roll_back"  # the chosen channel to the session's own settings
+    MARK = "mark"  # its ``text`` into the log, and no more
 
 
 @dataclass(frozen=True, slots=True)
 class OperatorCommand:
-    """One command with its ``value``, and where it came from, for people."""
+    """One command with its ``value``, where it came from, for people, and a mark's ``text`` ("": its number)."""
 
     kind: CommandKind
     value: float = 0.0
     origin: str = "key"
+    text: str = ""
 
 
 KEYS: Final = {
@@ -123,6 +126,7 @@ KEYS: Final = {
         (" ", "stop"), ("a", "arm"), ("d", "disarm"), ("p", "pause"), ("+=", "up"), ("-", "down"), ("b", "test"),
         ("t", "trigger"), (">", "belt_up"), ("<", "belt_down"), ("q", "quit"), ("f", "freeze_tuning"),
         ("g", "resume_tuning"), ("y", "accept_suggestion"), ("r", "roll_back"),
+        ("m", "mark"),
     )
     for key in keys
 }  # fmt: skip
@@ -133,6 +137,8 @@ NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
 CONTROL: Final = "control"  # the origin of what comes through the control socket
 LONGEST_MESSAGE: Final = 1024
 LARGEST_VALUE: Final = 1e9
+LONGEST_MARK: Final = 80  # characters: a line of the report's list, and of a terminal
+FORMULA: Final = "=+-@"  # what a spreadsheet that opens the table would compute
 
 
 class CommandRefused(ValueError):
@@ -155,8 +161,26 @@ def commands_of_keys(typed: bytes) -> list[OperatorCommand]:
     return sorted(commands, key=lambda command: command.kind is not CommandKind.STOP)
 
 
+def mark_text(said: object) -> str:
+    """A mark's text on one line: without control characters, marks of direction and what is no character.
+
+    Raises:
+        CommandRefused: it is no text, too long, or begins like a formula.
+    """
+    if not isinstance(said, str):
+        raise CommandRefused("a mark's text must be a text")
+    if len(said) > LONGEST_MARK:
+        raise CommandRefused(f"a mark has at most {LONGEST_MARK} characters")
+    text = " ".join("".join(" " if unicodedata.category(each)[0] == "C" else each for each in said).split())
+    if text.startswith(tuple(FORMULA)):
+        raise CommandRefused(
+            f"a mark does not begin with any of {' '.join(FORMULA)}: a spreadsheet takes that for a formula"
+        )
+    return text
+
+
 def command_of_message(message: bytes) -> OperatorCommand:
-    """The command in a control message ``{"ask": "up", "value": 0, "confirm": true}``.
+    """The command in a control message ``{"ask": "up", "value": 0, "confirm": true}``; a mark has a ``text``.
 
     Raises:
         CommandRefused: it is none, or one that needs ``"confirm": true`` and has it not.
@@ -174,4 +198,5 @@ def command_of_message(message: bytes) -> OperatorCommand:
         raise CommandRefused(f"value must be a number of at most {LARGEST_VALUE:.0e}")
     if kind in NEEDS_CONFIRMATION and data.get("confirm") is not True:
         raise CommandRefused(f'{kind} can lead to more current and needs "confirm": true')
-    return OperatorCommand(kind, float(value), CONTROL)
+    text = mark_text(data.get("text", "")) if kind is CommandKind.MARK else ""
+    return OperatorCommand(kind, float(value), CONTROL, text)

@@ -18,6 +18,7 @@ from fes.live.status import ground_text
 from fes.session_log import Note
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, Tick
 from fes.stimulation.envelope import BurstParameters, difference
+from fes.walk_record import MARK
 
 AGAIN_NS: Final = 5 * NS_PER_S
 TUNING: Final = ("freeze_tuning", "resume_tuning", "accept_suggestion", "roll_back")
@@ -94,6 +95,9 @@ TEST_REST_NS: Final = NS_PER_S // 2
 NO_STOP: Final = "the keyboard is gone, and there is no other stop"
 WARM_NS: Final = 2 * NS_PER_S  # the orientation filter's own settling
 REFUSAL_SHOWN_NS: Final = 10 * NS_PER_S
+MARK_SHOWN_NS: Final = 3 * NS_PER_S
+MARKED: Final = "marked: "
+MARK_PAUSE_NS: Final = NS_PER_S // 2  # a flood of them must fill neither the log nor the page
 JUST_NS: Final = 100_000_000  # what the loop did once it was off, on purpose, moved the beginning of its absence
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
@@ -155,9 +159,10 @@ class Operator:
         self._began_ns: int | None = None
         self._raised_ns = -RAISE_PAUSE_NS
         self._stopped_ns = -STOP_STANDS_NS
+        self._marks, self._marked_ns = 0, -MARK_PAUSE_NS
         self._intensity = 0.0
         self._tuning = TuningCommands(self.controller)
-        self._passing: tuple[int, str, str] | None = None  # until when a refusal is shown, it, and what then
+        self._passing: tuple[int, str, str] | None = None  # until when a refusal or mark is shown, it, what then
         self._explained = ("", "")  # what is latched, and what it came of
         self._zero_moved = ""  # why the measured heights cannot be trusted, found by the arming under way
 
@@ -197,6 +202,7 @@ class Operator:
             CommandKind.GROUND: self._ground,
             CommandKind.GROUND_FREE: self._ground,
             CommandKind.QUIT: self._quit,
+            CommandKind.MARK: self._mark,
             **dict.fromkeys(ACTIONS, self._tune),
         }
         return handlers[command.kind](command, t_ns)
@@ -427,11 +433,28 @@ class Operator:
         self._move(t_ns, Cause.QUIT, "ending")
         return [OperatorAct(t_ns, OperatorAction.DISARM)]
 
-    def _refuse(self, t_ns: int, why: str) -> list[Event]:
-        before = self._passing[2] if self._passing is not None else self.message
-        self._report(t_ns, "warning", why)
-        self._passing = (t_ns + REFUSAL_SHOWN_NS, why, before)
+    def _mark(self, command: OperatorCommand, t_ns: int) -> list[Event]:
+        """A note in the log. It is no event, so nothing that decides on stimulation can know of it."""
+        if t_ns - self._marked_ns < MARK_PAUSE_NS:
+            return []
+        self._marks, self._marked_ns = self._marks + 1, t_ns
+        text = command.text or f"mark {self._marks}"
+        self.note(Note(t_ns, "info", MARK, text))
+        if self._passing is None or self.message != self._passing[1] or self.message.startswith(MARKED):
+            self._show(t_ns, MARK_SHOWN_NS, f"{MARKED}{text}")  # a refusal that is being read stays
         return []
+
+    def _refuse(self, t_ns: int, why: str) -> list[Event]:
+        self.note(Note(t_ns, "warning", "session", why))
+        self._show(t_ns, REFUSAL_SHOWN_NS, why)
+        return []
+
+    def _show(self, t_ns: int, shown_ns: int, text: str) -> None:
+        """For a while; then what stood there before comes back."""
+        before = self.message
+        if self._passing is not None and before == self._passing[1]:
+            before = self._passing[2]
+        self.message, self._passing = text, (t_ns + shown_ns, text, before)
 
     def _move(self, t_ns: int, cause: Cause, message: str = "") -> None:
         before = self.state

@@ -27,8 +27,8 @@ COLOURS: Final = {
     "fault": "bold white on red",
 }
 KEYS: Final = (
-    "SPACE stop · a arm · d disarm · p pause · + − intensity · 0–7 channel · b test · t trigger · < > belt · q quit"
-    " · tuning: f freeze · g go on · y accept · r roll back"
+    "SPACE stop · a arm · d disarm · p pause · + − intensity · 0–7 channel · b test · t trigger · < > belt"
+    " · m mark · q quit · tuning: f freeze · g go on · y accept · r roll back"
 )
 LARGEST: Final = 1 << 16
 

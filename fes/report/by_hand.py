@@ -1,15 +1,17 @@
-"""What people did in a session: armed, stopped, asked for bursts. It is listed as what it was and is no fault."""
+"""What people did in a session: armed, stopped, asked for bursts, set marks. It is listed as it was and is no fault."""
 
 import re
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+from fes.report.strides import StrideRow
 from fes.report.text import count_of
 from fes.signals import NS_PER_S, OperatorAction
 from fes.stimulation.plan import BY_HAND_NS
-from fes.walk_record import WalkRecord
+from fes.walk_record import MARK, WalkRecord
 
 STOP: Final = "emergency stop"
 WORDS: Final = {
@@ -39,6 +41,28 @@ class HandRow:
     action: str
     channel: int
     text: str
+
+
+@dataclass(frozen=True)
+class MarkRow:
+    """A mark that a person set; ``strides``: how many valid ones began from then until the next mark."""
+
+    time_s: float
+    text: str
+    strides: int = 0
+
+
+def with_marks(
+    record: WalkRecord, rows: Sequence[StrideRow], origin_ns: int
+) -> tuple[tuple[MarkRow, ...], tuple[StrideRow, ...]]:
+    """The marks by time, and the strides, each with the last mark before it began."""
+    marks = sorted((note.t_ns, note.text) for note in record.notes if note.source == MARK)
+    times_s = [(t_ns - origin_ns) / NS_PER_S for t_ns, _ in marks]
+    of_row = [bisect_right(times_s, row.start_s) - 1 for row in rows]
+    counted = Counter(at for at, row in zip(of_row, rows, strict=True) if row.valid)
+    told = tuple(MarkRow(times_s[at], text, counted[at]) for at, (_, text) in enumerate(marks))
+    marked = (replace(row, mark=marks[at][1]) if at >= 0 else row for at, row in zip(of_row, rows, strict=True))
+    return told, tuple(marked)
 
 
 def hand_rows(record: WalkRecord, origin_ns: int, usual_intensity: float = 1.0) -> tuple[HandRow, ...]:

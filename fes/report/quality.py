@@ -17,7 +17,7 @@ from fes.report.strides import StrideRow
 from fes.report.text import count_of, readable, without_numbers
 from fes.signals import G_MPS2, NS_PER_S, BoolArray, FloatArray, IntArray, StimCommand
 from fes.stimulation.onset import EACH_ONSET
-from fes.walk_record import Finding, SampleArrays, WalkRecord
+from fes.walk_record import MARK, Finding, SampleArrays, WalkRecord
 
 CLOCKS_AGREE_NS = NS_PER_S
 FAR_NS = 3600 * NS_PER_S
@@ -144,7 +144,7 @@ def session_notices(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
     """All notes, and what the stimulator itself reported as a fault, in order of time."""
     notes = []
     for note in record.notes:
-        if note.source in (THRESHOLDS, EACH_ONSET):  # a table of their own; what the bursts show
+        if note.source in (THRESHOLDS, EACH_ONSET, MARK):  # a table of their own; what the bursts show
             continue
         if note.source == "gate" and behind_the_end(record, note.t_ns, note.text):
             notes.append((note.t_ns, "info", note.source, f"the recording ends in a burst: {note.text}"))

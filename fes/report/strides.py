@@ -38,7 +38,8 @@ class StrideStimulation:
 class StrideRow:
     """One stride as people read it; NaN where a number is not known.
 
-    ``live`` of an analysis: how long the phases are by the live machine (``swing_live_s`` …).
+    ``live`` of an analysis: how long the phases are by the live machine (``swing_live_s`` …). ``mark``: the last one
+    that a person set before the stride began.
     """
 
     foot: str
@@ -64,6 +65,7 @@ class StrideRow:
     stimulation: tuple[StrideStimulation, ...] = ()
     refused: tuple[str, ...] = ()
     live: Mapping[str, float] = field(default_factory=dict)
+    mark: str = ""
 
     @property
     def stance_is_standing(self) -> bool:

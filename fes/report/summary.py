@@ -12,7 +12,7 @@ import numpy as np
 from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.report import quality, stimulation
-from fes.report.by_hand import HandRow, hand_rows, is_stop_note
+from fes.report.by_hand import HandRow, MarkRow, hand_rows, is_stop_note, with_marks
 from fes.report.strides import STANDING_S, StrideRow, stride_rows, with_live
 from fes.report.text import Spread, plain, spread
 from fes.report.thresholds import MeasureRow, measure_rows, thresholds_set
@@ -242,6 +242,7 @@ class SessionSummary:
     measures: tuple[MeasureRow, ...] = ()
     thresholds: str = ""
     by_hand: tuple[HandRow, ...] = ()
+    marks: tuple[MarkRow, ...] = ()
     exercise: ExerciseSummary | None = None
     sensor_findings: tuple[Finding, ...] = ()  # of the sensors, by whoever examined them
 
@@ -318,6 +319,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         unmoved = {id(stride) for stride in record.strides}
         kept = {(stride.foot, stride.number) for stride in strides if id(stride) in unmoved}
         rows = with_live(rows, stride_rows(strides, live, (), {}, (), origin_ns), kept)
+    marks, rows = with_marks(record, rows, origin_ns)
     sensors = quality.all_flags(record, settings)
     flags = quality.stride_flags(record, rows, sensors)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
@@ -357,6 +359,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         reached=stimulation.reach_rows(settings, commands, origin_ns),
         measures=measure_rows(record, settings),
         thresholds=thresholds_set(settings),
+        marks=marks,
         by_hand=hand_rows(record, origin_ns, settings.stimulation.intensity if settings else 1.0),
         exercise=exercise_summary(record, settings),
         sensor_findings=(*record.findings, *quality.flag_findings(flags, sensors)),

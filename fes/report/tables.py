@@ -124,6 +124,7 @@ def summary_block(summary: SessionSummary) -> RenderableType:
 
 
 CLOSING_FINDINGS = 5
+MARKS_TOLD = 5
 
 
 def closing_block(summary: SessionSummary) -> RenderableType:
@@ -146,6 +147,10 @@ def closing_block(summary: SessionSummary) -> RenderableType:
         lines.append(Text(f"  exercise: {summary.exercise.done} of {summary.exercise.count} bursts"))
     if done := summed_up(summary.by_hand):
         lines.append(Text(f"  by hand: {done}"))
+    if summary.marks:
+        told = [f"{mark.text} at {mark.time_s:.1f} s" for mark in summary.marks[:MARKS_TOLD]]
+        more = [f"{len(summary.marks) - MARKS_TOLD} more"] if len(summary.marks) > MARKS_TOLD else []
+        lines.append(Text(f"  marks: {', '.join([*told, *more])}"))
     every = findings(summary)
     lines += [Text(f"  {each.text}") for each in every if each.leads]
     look = [each for level in ("alert", "warning") for each in every if each.level == level]

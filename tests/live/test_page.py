@@ -353,7 +353,7 @@ def test_a_stop_comes_first_once_and_alone(pair: tuple[DashboardStream, socket.s
     assert session.done == [(Kind.STOP, "dashboard")]
 
 
-def test_the_session_itself_asks_for_confirmation_and_knows_eight_orders(
+def test_the_session_itself_asks_for_confirmation_and_knows_nine_orders(
     pair: tuple[DashboardStream, socket.socket],
 ) -> None:
     stream, page = pair
@@ -372,6 +372,7 @@ def test_the_session_itself_asks_for_confirmation_and_knows_eight_orders(
         Kind.DOWN,
         Kind.GROUND,
         Kind.GROUND_FREE,
+        Kind.MARK,
     }
     assert session.done.count((Kind.UP, "dashboard")) == 1
     assert session.done.count((Kind.ARM, "dashboard")) == 1

@@ -1,6 +1,7 @@
 """``fes replay --dashboard``: a recording, or a session log, played to a browser."""
 
 import time
+from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -22,6 +23,7 @@ from fes.gate import SafetyGate
 from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.session_log import Note, SessionLogError, iter_events, read_session
 from fes.signals import Event
+from fes.walk_record import MARK
 
 
 class ReplayDashboard:
@@ -85,11 +87,14 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
     shown = ReplayDashboard(folder, session, calibrations, record.header, ReplayOutput(), controller, gate, port)
     sink = LoggedSink(session_id, [])
     runner = Runner(controller, gate, sink, shown.log, time.perf_counter_ns)
+    marks = deque(note for note in record.notes if note.source == MARK)
     ended = "interrupted"
     try:
         with Interrupt() as interrupt:
 
             def after(event: Event) -> None:
+                while marks and marks[0].t_ns <= event.t_ns:
+                    shown.log.note(marks.popleft())
                 shown.publish(event.t_ns)
                 interrupt.check()
 

@@ -96,7 +96,8 @@ def detail(happened: Mapping[str, Iterable[Any]]) -> bytes:
     """The message of what has happened since the last one, by name.
 
     ``sent`` is what the gate let out, ``answered`` what the stimulator says it delivers: (ns, channel, mA; 0: off).
-    ``phases`` are (ns, foot, phase), ``notes`` (ns, severity, text), ``strides`` :class:`fes.signals.StrideResult`.
+    ``phases`` are (ns, foot, phase), ``notes`` (ns, severity or "mark", text), ``strides``
+    :class:`fes.signals.StrideResult`.
     """
     plain = [list(map(_shown, happened[name])) if name == "strides" else list(happened[name]) for name in NAMES]
     return DETAIL + bytes(msgpack.packb(plain))

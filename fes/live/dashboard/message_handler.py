@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from fes.config import STEEPEST_PERCENT
-from fes.live.commands import NEEDS_CONFIRMATION, CommandKind
+from fes.live.commands import NEEDS_CONFIRMATION, CommandKind, CommandRefused, mark_text
 from fes.live.dashboard.access import Access, Confirmations, Role, Situation
 from fes.live.status import Status
 
@@ -79,6 +79,8 @@ class MessageHandler:
         self._recent_ns.append(t_ns)
         if "confirm" in message:
             return self._confirm(_text(message["confirm"]), t_ns)
+        if message.get("ask") == CommandKind.MARK:
+            return self._mark(message.get("text", ""))
         return self._ask(_text(message.get("ask")), message.get("value"), t_ns)
 
     def _enter(self, token: str, secret: str) -> Outcome:
@@ -113,6 +115,16 @@ class MessageHandler:
         }
         identifier = self._confirmations.ask(ask, _situation(status), t_ns)
         return Outcome({"question": {"id": identifier, "ask": ask, "text": questions[ask]}})
+
+    def _mark(self, said: object) -> Outcome:
+        """A mark changes nothing, so whoever watches may set one."""
+        if self.about.get("mode") == "replay":
+            return _refuse("a replay can only be stopped")
+        try:
+            marked = {"ask": CommandKind.MARK, "text": mark_text(said)}
+        except CommandRefused as error:
+            return _refuse(str(error))
+        return Outcome(command=json.dumps(marked, ensure_ascii=False).encode())
 
     def _set_ground(self, ask: str, value: object, t_ns: int) -> Outcome:
         """What is walked on: no current comes of it, so nothing is asked back, but one browser says it."""

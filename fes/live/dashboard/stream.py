@@ -3,7 +3,7 @@
 import socket
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from fes.control.runner import MEASURES_NOTED
@@ -13,16 +13,17 @@ from fes.live.inputs import Execute
 from fes.session_log import Note
 from fes.signals import Event, StimCommand, StimStatus, StrideResult
 from fes.stimulation.onset import EACH_ONSET
+from fes.walk_record import MARK
 from statemachine.phases import PhaseChange
 
 LEVELS_KEPT: Final = 1024  # while nobody reads: two seconds of eight channels
 STRIDES_KEPT: Final = 32
 NOTES_KEPT: Final = 64
 AT_ONCE: Final = 8  # messages read
-LONGEST_MESSAGE: Final = 256
+LONGEST_MESSAGE: Final = 512  # a mark of 80 characters, each of four bytes, and what is around it
 RESUME_MESSAGE: Final = b'{"ask":"resume","confirm":true}'
 ALLOWED: Final = frozenset(
-    CommandKind(kind) for kind in ("stop", "arm", "disarm", "pause", "up", "down", "ground", "ground_free")
+    CommandKind(kind) for kind in ("stop", "arm", "disarm", "pause", "up", "down", "ground", "ground_free", "mark")
 )
 ORIGIN: Final = "dashboard"
 
@@ -63,7 +64,8 @@ class DashboardStream:
         """What a person should know; not each stride's measures and onset, of which the log has every value."""
         if note.source in (MEASURES_NOTED, EACH_ONSET):
             return
-        self._happened["notes"].append((note.t_ns, note.severity, note.text))
+        kind = MARK if note.source == MARK else note.severity
+        self._happened["notes"].append((note.t_ns, kind, note.text))
 
     def send(self, status: bytes) -> None:
         """Send the status and what has gathered, as far as the dashboard's process takes it now."""
@@ -140,4 +142,4 @@ class DashboardCommands:
             raise CommandRefused(f"{command.kind} is not for the dashboard")
         if command.kind is CommandKind.PAUSE and self.state() is State.PAUSED:
             return None  # pressed on two pages at once: the second must not go on
-        return OperatorCommand(command.kind, command.value, ORIGIN)
+        return replace(command, origin=ORIGIN)

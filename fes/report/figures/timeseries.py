@@ -22,6 +22,9 @@ LONG_UNKNOWN = 1000  # of so many points without a value only the last is kept
 MOST_RADPS = 1e6  # beyond what turns, and what can be squared: no number
 MISSING = -32768
 MOST_NOTICES = 2000  # that a click can show
+MOST_MARKS = 500  # on the time line
+SHOWN_OF_MARK = 32  # characters of its text there; the list has all
+MARK_COLOR = "#7a1f6b"
 FULL_SCALE = 32000
 
 
@@ -60,6 +63,16 @@ def chart_data(data: ReportData, sensors: Mapping[str, SensorFlags] | None = Non
         "notices": [
             {"time_s": round(each.time_s, 3), "source": each.source, "text": each.text}
             for each in data.summary.notices[:MOST_NOTICES]
+        ],
+        "marks": [
+            {
+                "t_s": round(each.time_s, 3),
+                "name": each.text[:SHOWN_OF_MARK],
+                "row": 0,
+                "color": MARK_COLOR,
+                "always": True,
+            }
+            for each in data.summary.marks[:MOST_MARKS]
         ],
         "phases": [{"name": readable(name), "color": PHASE_COLORS[name]} for name in (p.name.lower() for p in Phase)],
     }

@@ -85,7 +85,7 @@
       ctx.moveTo(x, u.bbox.top);
       ctx.lineTo(x, u.bbox.top + u.bbox.height);
       ctx.stroke();
-      if (max - min < 5) ctx.fillText(one.name, x + 3 * dot, u.bbox.top + (22 + 13 * one.row) * dot);
+      if (max - min < 5 || (one.always && max - min < 30)) ctx.fillText(one.name, x + 3 * dot, u.bbox.top + (22 + 13 * one.row) * dot);
     }
     ctx.restore();
   };
@@ -131,7 +131,7 @@
       ],
       hooks: {
         drawClear: foot ? [bands(foot)] : [],
-        draw: [...(foot ? [marks(foot)] : []), moments(lines), done],
+        draw: [...(foot ? [marks(foot)] : []), moments([...(lines || []), ...(data.marks || [])]), done],
         setSelect: [(u) => {
           if (u.select.width > 4) {
             show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
@@ -189,7 +189,7 @@
           const half = (span[1] - span[0]) / 2;
           if (u.select.width > 4) show(from, to); else show(from - half, from + half);
         }],
-        draw: [done, () => mark()],
+        draw: [moments(data.marks), done, () => mark()],
       },
     }, [t, y], box);
   };
@@ -227,6 +227,7 @@
     }
     lines.push(...teller.tuned(at));
     const near = data.notices.filter((one) => one.source !== "tuning" && Math.abs(one.time_s - at) <= NEAR_S);
+    for (const one of (data.marks || []).filter((each) => Math.abs(each.t_s - at) <= NEAR_S)) lines.push(one.t_s.toFixed(2) + " s, mark: " + one.name);
     for (const one of near) lines.push(one.time_s.toFixed(2) + " s, " + one.source + ": " + one.text);
     moment.querySelector("h3").textContent = "At " + at.toFixed(3) + " s";
     moment.querySelector("ul").replaceChildren(...lines.map((line) => element("li", line)));

@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from pathlib import Path
 from typing import Any, Final, get_type_hints
@@ -19,7 +19,7 @@ from fes import signals
 from fes.session_log.codec import Rare, SampleParts, latency_arrays
 from fes.session_log.framing import Received, RecordType, SessionLogError, not_made
 from fes.session_log.repair import Damage, stretches
-from fes.walk_record import Note, finite_or_none
+from fes.walk_record import MARK, Note, finite_or_none
 from statemachine.phases import PhaseChange
 
 BATCH_ROWS: Final = 20_000
@@ -70,7 +70,10 @@ class Batch:
 
 @dataclass(slots=True)
 class Exported:
-    """What went by: ``rows`` by table, the header, the summary, damaged places; ``begin_ns`` is its first time."""
+    """What went by: ``rows`` by table, the header, the summary, damaged places; ``begin_ns`` is its first time.
+
+    ``marks`` are those so far: when (ns), and what.
+    """
 
     header: dict[str, Any] = field(default_factory=dict)
     summary: dict[str, Any] = field(default_factory=dict)
@@ -78,6 +81,7 @@ class Exported:
     damages: list[Damage] = field(default_factory=list)
     rows: dict[str, int] = field(default_factory=dict)
     begin_ns: int = 0
+    marks: list[tuple[int, str]] = field(default_factory=list)
 
 
 def library_missing(what: str, extra: str) -> SessionLogError:
@@ -96,13 +100,16 @@ _IMU: Final = tuple(Column(name, "int") for name in ("t_ns", "t_sensor_ns")) + t
     Column(f"{what}_{axis}_{unit}", "float") for what, unit in (("acc", "mps2"), ("gyr", "radps")) for axis in "xyz"
 )
 SAMPLES: Final = {sensor: Table(f"imu_{sensor}", _IMU) for sensor in signals.SENSORS}
+MARKS: Final = Table("marks", (Column("t_ns", "int"), Column("text", "text")))
 LATENCY: Final = Table("latency", (Column("t_ns", "int"), Column("latency_ns", "int")))
 PHASES: Final = Table("phases", (*_table_of(PhaseChange, "phases").columns, Column("phase", "int")))
+_STRIDE: Final = _table_of(signals.StrideResult, "strides", "t_end_ns")
+STRIDES: Final = replace(_STRIDE, columns=(*_STRIDE.columns, Column("mark", "text")))
 _PATH: Final = (Column("t_ns", "int"), Column("foot", "text"), Column("number", "int"))
 _PLACE: Final = ("x_m", "y_m", "z_m", "pitch_rad", "roll_rad")
 PATHS: Final = Table("stride_paths", _PATH + tuple(Column(name, "float") for name in _PLACE))
 SINGLES: Final[dict[type, Table]] = {
-    signals.StrideResult: _table_of(signals.StrideResult, "strides", "t_end_ns"),
+    signals.StrideResult: STRIDES,
     signals.StimCommand: _table_of(signals.StimCommand, "commands"),
     signals.WireFrame: _table_of(signals.WireFrame, "frames"),
     Received: _table_of(Received, "received"),
@@ -143,7 +150,7 @@ def batches(path: Path, exported: Exported, rows: int = BATCH_ROWS) -> Iterator[
         elif isinstance(stretch.value, dict):
             setattr(exported, "header" if stretch.kind == RecordType.HEADER else "summary", stretch.value)
         elif stretch.value is not None:
-            _single(filling, stretch.value)
+            _single(filling, stretch.value, exported.marks)
         if not exported.rows and stretch.begin_ns is not None:
             exported.begin_ns = min(exported.begin_ns, stretch.begin_ns) if timed else stretch.begin_ns
             timed = True
@@ -173,10 +180,18 @@ def _extend(filling: dict[str, Batch], table: Table, columns: list[list[Any]]) -
         column.extend(values)
 
 
-def _single(filling: dict[str, Batch], value: Rare) -> None:
+def _single(filling: dict[str, Batch], value: Rare, marks: list[tuple[int, str]]) -> None:
+    """``marks``: those so far; a mark joins them, a stride carries the last one before it began."""
     table = SINGLES[type(value)]
-    number = {"phase": int(value.destination)} if isinstance(value, PhaseChange) else {}
-    row = [number.get(name) if name in number else _plain(getattr(value, name)) for name in table.names]
+    if isinstance(value, Note) and value.source == MARK:
+        table = MARKS
+        marks.append((value.t_ns, value.text))
+    more: dict[str, object] = {}
+    if isinstance(value, PhaseChange):
+        more["phase"] = int(value.destination)
+    elif isinstance(value, signals.StrideResult):
+        more["mark"] = next((text for t_ns, text in reversed(marks) if t_ns <= value.t_start_ns), "")
+    row = [more[name] if name in more else _plain(getattr(value, name)) for name in table.names]
     _extend(filling, table, [[cell] for cell in row])
     if isinstance(value, signals.StrideResult) and len(value.trajectory_m) == len(value.pitch_rad) > 0:
         n = len(value.pitch_rad)

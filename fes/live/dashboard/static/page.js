@@ -10,6 +10,8 @@ const STOP_WITHIN_MS = 500;
 const STALE_MS = 500;
 const SAID_MS = 5000;
 const ROWS = 10;
+const MARKS_KEPT = 6; // to be set again by one press
+const NUMBERED = /^mark \d+$/;
 const CURRENT = ["armed", "running"];
 const BESIDE = "Use the SPACE key at the computer, or the stop button beside you.";
 
@@ -31,6 +33,7 @@ function hello(about) {
     write($("session-name"), `${about.name}${about.mode === "replay" ? " (replay)" : ""}`);
     write($("most"), about.mode === "replay" ? "" : ` of at most ${percent(about.most_intensity)}`);
     $("ground").hidden = about.mode !== "live";
+    $("mark").hidden = about.mode === "replay";
     document.title = `FES: ${about.name}`;
     envelope = new EnvelopeChart($("envelope"), about.channels);
     const shown = about.channels[0];
@@ -95,8 +98,18 @@ function row(stride) {
 
 function note(ms, severity, text) {
   if (severity === "info" && text.startsWith("state ")) return; // the head of the page says it
+  if (severity === "mark" && !NUMBERED.test(text)) again(text);
   $("notes").prepend(make("li", { class: severity }, make("time", {}, clock(ms)), text));
   while ($("notes").children.length > 40) $("notes").lastChild.remove();
+}
+
+/** A button that sets the same mark once more; the newest comes first. */
+function again(text) {
+  for (const each of [...$("marked").children]) if (each.textContent === text) each.remove();
+  const button = make("button", { type: "button", title: text }, text);
+  button.addEventListener("click", () => link.send({ ask: "mark", text }));
+  $("marked").prepend(button);
+  while ($("marked").children.length > MARKS_KEPT) $("marked").lastChild.remove();
 }
 
 // --- what is shown ------------------------------------------------------------------------------------
@@ -146,6 +159,7 @@ function buttons(status, blind) {
   $("pause").disabled = blind || !(current || (state === "paused" && controls));
   $("arm").disabled = blind || !controls || !["shadow", "stopped", "fault"].includes(state);
   $("disarm").disabled = blind || !(current || state === "paused");
+  for (const each of document.querySelectorAll("#mark input, #mark button")) each.disabled = blind || !status;
   for (const id of ["incline", "set-incline", "free"]) $(id).disabled = blind || !controls || !status;
   $("down").disabled = blind || !status || status.intensity <= 0;
   $("up").disabled = blind || !controls || !(current || state === "shadow") || status.intensity >= view.about.most_intensity - 1e-6;
@@ -250,3 +264,9 @@ $("ground").addEventListener("submit", (event) => {
   link.send({ ask: "ground", value: $("incline").valueAsNumber });
 });
 $("free").addEventListener("click", () => link.send({ ask: "ground_free" }));
+$("mark").addEventListener("submit", (event) => {
+  event.preventDefault();
+  link.send({ ask: "mark", text: $("mark-text").value.replaceAll("_", " ") });
+  $("mark-text").value = "";
+  $("mark-text").blur();
+});
