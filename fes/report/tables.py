@@ -124,7 +124,7 @@ def summary_block(summary: SessionSummary) -> RenderableType:
 
 
 CLOSING_FINDINGS = 5
-MARKS_TOLD = 5
+MARKS_LISTED = 5
 
 
 def closing_block(summary: SessionSummary) -> RenderableType:
@@ -148,8 +148,8 @@ def closing_block(summary: SessionSummary) -> RenderableType:
     if done := summed_up(summary.by_hand):
         lines.append(Text(f"  by hand: {done}"))
     if summary.marks:
-        told = [f"{mark.text} at {mark.time_s:.1f} s" for mark in summary.marks[:MARKS_TOLD]]
-        more = [f"{len(summary.marks) - MARKS_TOLD} more"] if len(summary.marks) > MARKS_TOLD else []
+        told = [f"{mark.text} at {mark.time_s:.1f} s" for mark in summary.marks[:MARKS_LISTED]]
+        more = [f"{len(summary.marks) - MARKS_LISTED} more"] if len(summary.marks) > MARKS_LISTED else []
         lines.append(Text(f"  marks: {', '.join([*told, *more])}"))
     every = findings(summary)
     lines += [Text(f"  {each.text}") for each in every if each.leads]

@@ -1,8 +1,8 @@
 """A session log without names: what identifies a person, a place or a device is taken out, and times begin anew.
 
 What is kept is listed, not what goes: of the header what settings and calibrations of this version are made of, each
-free text in them replaced; of records their numbers and bytes. Texts of notes and faults are kept without the names that
-the header had, without paths, and without what a person wrote.
+free text in them replaced; of records their numbers and bytes. Texts of notes and faults are kept without the names
+that the header had, without paths, and without what a person wrote.
 """
 
 import os
@@ -61,7 +61,7 @@ def anonymise(
     *,
     names: Collection[str] = (),
     keep_marks: bool = False,
-    refused: Sequence[str] | None = None,
+    refused: Sequence[str] = (),
 ) -> Anonymised:
     """Write ``target``, a new log like ``source`` without names; whole records only, as many as are whole.
 
@@ -255,7 +255,7 @@ def _numbers(values: dict[str, Any]) -> dict[str, Any]:
 class _Change:
     """A log's records, one by one, with their times shifted and their texts scrubbed."""
 
-    def __init__(self, scrub: _Scrub, shift_ns: int, keep_marks: bool, refused: Sequence[str] | None) -> None:
+    def __init__(self, scrub: _Scrub, shift_ns: int, keep_marks: bool, refused: Sequence[str]) -> None:
         self._scrub, self._shift_ns, self._keep_marks, self._refused = scrub, shift_ns, keep_marks, refused
         self._commands = 0
         self.marks = 0
@@ -314,8 +314,9 @@ class _Change:
                 return replace(value, foot=foot, reason=self._scrub(value.reason))
             case StimCommand():
                 number, self._commands = self._commands, self._commands + 1
-                known = value.refused and self._refused is not None and number < len(self._refused)
-                return replace(value, refused=self._refused[number] if known else self._scrub(value.refused))
+                if value.refused and number < len(self._refused):
+                    return replace(value, refused=self._refused[number])
+                return replace(value, refused=self._scrub(value.refused))
             case Note():
                 return self._note(value)
         return value
