@@ -113,7 +113,7 @@ def kept(name: str, png: bytes) -> None:
 
 
 def live_page() -> None:
-    """Both pictures of the live page."""
+    """The three pictures of the live page."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         whole = trial(TRIAL)
@@ -134,6 +134,11 @@ def live_page() -> None:
         page.press("#up")
         page.until("!document.getElementById('question').hidden")
         taken(page, "page_tablet.png")
+        page.press("#no")
+        page.size(390, 844, touch=True)
+        run.order("mark", text="brace on")
+        walking(run, page)
+        taken(page, "page_phone.png")
         run.quit()
 
 

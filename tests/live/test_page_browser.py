@@ -16,6 +16,7 @@ from fes.live.dashboard.process import DashboardProcess
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import NS_PER_S, StimCommand, StrideResult
+from fes.walk_record import MARK
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 
@@ -78,9 +79,10 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
     until(process, page, status, f"document.body.dataset.state === '{state}'")
     assert page.text("#state-word").isupper()
     assert len(page.text("#state-text")) > 10
-    assert ("sensor lost" in page.text("#state-text")) == (state is State.FAULT)
+    assert ("sensor lost" in page.text("#fault")) == (state is State.FAULT)
+    assert page.run("document.getElementById('fault').hidden") == (state is not State.FAULT)
     assert page.text("#current") == ("⚡ Current ON" if current else "No current")
-    for width, height in ((768, 1024), (1280, 720), (1024, 600)):
+    for width, height in ((390, 664), (768, 1024), (1280, 720), (1024, 600)):
         page.size(width, height)
         box = page.run(
             "(r => [r.left, r.top, r.right, r.bottom])(document.getElementById('stop').getBoundingClientRect())"
@@ -89,6 +91,12 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
         assert 0 <= box[1] < box[3] <= height
         assert box[2] - box[0] >= 200
         assert box[3] - box[1] >= 80
+        for button in ("pause", "arm", "disarm", "up", "down"):
+            place = "(r => [r.left, r.top, r.right, r.bottom])(document.getElementById({!r}).getBoundingClientRect())"
+            reach = page.run(place.format(button))
+            assert 0 <= reach[0] < reach[2] <= width, button
+            assert 0 <= reach[1] < reach[3] <= height, button
+            assert reach[3] - reach[1] >= 48, button
         assert page.run("document.documentElement.scrollWidth") <= width
     assert page.run("document.getElementById('arm').disabled") == (
         state not in (State.SHADOW, State.STOPPED, State.FAULT)
@@ -97,7 +105,7 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
 
 
 WORN = ("left_foot", "right_foot", "left_shank", "right_shank", "left_thigh", "right_thigh")
-SIZES = ((768, 1024), (1024, 768), (1280, 720), (1920, 1080), (1080, 1920))
+SIZES = ((390, 844), (768, 1024), (1024, 768), (1280, 720), (1920, 1080), (1080, 1920))
 # what lies on what else, what sticks out of its box, what is cut off; by names of elements
 MISPLACED = """
 (() => {
@@ -105,7 +113,7 @@ MISPLACED = """
   const name = (each) => `${each.tagName}.${each.className || each.id}: ${each.textContent.slice(0, 30)}`;
   const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1;
   const apart = (a, b) => before(a, b) || before(b, a);
-  const boxes = "main, #feet, .foot, .numbers, .phases, header, #controls, #dose, #acts";
+  const boxes = "main, #roles, .foot, #mark, .numbers, .phases, header, #controls, #dose, #acts";
   for (const box of document.querySelectorAll(boxes)) {
     const inside = [...box.children].filter((each) => rect(each).width && rect(each).height);
     inside.forEach((one, at) => inside.slice(at + 1).forEach((other) => {
@@ -130,7 +138,8 @@ def test_nothing_overlaps_with_one_to_six_sensors_on_any_screen(
     fault = "left_foot, right_foot: sensor lost: device reports readiness to read but returned no data"
     remedy = "Check plug, battery and range; its line is opened again by itself. Then arm again."
     status = replace(SHOWN, state="fault", on=False, feet=feet, fault=fault, remedy=remedy, notices=[fault, fault])
-    until(process, page, status, f"document.querySelectorAll('.foot').length === {count}")
+    cards = len({"right_foot", *WORN[:count]})  # the channel's foot has one whatever is worn
+    until(process, page, status, f"document.querySelectorAll('.foot').length === {cards}")
     until(process, page, status, "document.body.dataset.state === 'fault'")
     for width, height in SIZES:
         page.size(width, height)
@@ -142,8 +151,77 @@ def test_nothing_overlaps_with_one_to_six_sensors_on_any_screen(
     page.run("document.getElementById('feet').replaceChildren()")
 
 
+SCREENS = ((390, 844), (768, 1024), (1024, 768), (1440, 900), (1920, 1080))
+
+
+@pytest.mark.parametrize("size", SCREENS, ids=str)
+def test_what_stimulates_stands_first_and_in_view_and_what_drives_nothing_is_one_line(
+    process: DashboardProcess, page: Page, size: tuple[int, int]
+) -> None:
+    width, height = size
+    page.size(width, height)
+    idle = FootStatus("", False, 0, None, None, 100.0, 1.0)
+    still = replace(FOOT, phase="stance", walking=False)
+    worn = {"left_foot": still, "left_shank": idle, "right_foot": FOOT, "right_shank": replace(idle, age_ms=1e6)}
+    process.stream.command(StimCommand(NS_PER_S, 0, True, 12.5, 300.0, 40.0, 60))
+    status = replace(SHOWN, feet=worn)
+    until(process, page, status, "document.querySelectorAll('.foot').length === 2")
+    until(process, page, status, "document.querySelector('.channel.on #sent-0')?.textContent === '12.5 mA'")
+    page.run("document.querySelector('main').scrollTop = 0")
+    assert page.run("[...document.querySelectorAll('.foot')].map((each) => each.id)") == [
+        "foot-right_foot",
+        "foot-left_foot",
+    ]
+    assert page.text("#foot-right_foot .phase") == "Swing"
+    assert page.text("#others") == "Other sensors: left shank 100 Hz · right shank silent"
+    footer = page.run("document.querySelector('footer').getBoundingClientRect().top")
+    place = "(r => [r.left, r.top, r.bottom])(document.getElementById({!r}).getBoundingClientRect())"
+    driving, other, chart = (
+        page.run(place.format(name)) for name in ("foot-right_foot", "foot-left_foot", "envelope-panel")
+    )
+    assert driving[:2] == min(driving[:2], other[:2], chart[:2])
+    assert max(driving[2], chart[2]) <= footer  # nobody scrolls to see what flows
+
+
+def test_a_foot_whose_sensor_is_silent_says_no_phase(process: DashboardProcess, page: Page) -> None:
+    silent = replace(SHOWN, feet={"right_foot": replace(FOOT, age_ms=1001.0)})
+    until(process, page, silent, "document.querySelector('#foot-right_foot .phase')?.textContent === '–'")
+    assert page.text("#foot-right_foot .walks") == "phase not known"
+    assert page.text("#foot-right_foot .age") == "silent"
+
+
+def test_a_shank_that_stands_for_its_foot_has_the_foots_channel(process: DashboardProcess, page: Page) -> None:
+    worn = {"right_shank": FOOT, "left_foot": FOOT}
+    until(process, page, replace(SHOWN, feet=worn), "document.querySelector('#foot-right_shank .channel') !== null")
+    assert page.run("[...document.querySelectorAll('.foot')].map((each) => each.id)")[0] == "foot-right_shank"
+    assert page.run("document.getElementById('foot-right_foot')") is None
+
+
+def test_the_space_bar_in_the_marks_field_is_a_stop_and_an_underscore_a_blank(
+    process: DashboardProcess, page: Page
+) -> None:
+    page.size(1024, 768)
+    until(process, page, SHOWN, "document.body.dataset.state === 'running'")
+    page.run("document.getElementById('mark-text').focus()")
+    link = process.stream.link
+    link.settimeout(10.0)
+    try:
+        page.call("Input.dispatchKeyEvent", type="keyDown", key=" ", code="Space", text=" ")
+        assert link.recv(100) == b'{"ask":"stop"}'
+        link.setblocking(False)
+        until(process, page, replace(SHOWN, state="stopped"), "document.body.dataset.state === 'stopped'")
+        page.run("document.getElementById('mark-text').value = 'brace_on'")
+        page.run("document.getElementById('mark').requestSubmit()")
+        link.settimeout(10.0)
+        assert link.recv(512) == b'{"ask": "mark", "text": "brace on"}'
+        assert page.run("document.getElementById('mark-text').value") == ""
+    finally:
+        link.setblocking(False)
+
+
 def test_names_and_messages_are_text_and_nothing_else(process: DashboardProcess, page: Page) -> None:
     process.stream.note(Note(2 * NS_PER_S, "fault", "gate", SMUGGLED))
+    process.stream.note(Note(2 * NS_PER_S, "info", MARK, SMUGGLED[:80]))
     made = StrideResult("right_foot", 1, 0, NS_PER_S, 1.25, 0.08, 0.0, 0.0, 0.6, 1, 2, 3, 4)
     process.stream.stride(replace(made, trajectory_m=np.linspace((0.0, 0.0, 0.0), (1.25, 0.0, 0.0), 50)))
     process.stream.stride(replace(made, number=2, valid=False, reason=SMUGGLED, stride_length_m=float("nan")))
@@ -153,7 +231,9 @@ def test_names_and_messages_are_text_and_nothing_else(process: DashboardProcess,
     until(process, page, status, "document.querySelectorAll('#strides tr').length === 2")
     assert SMUGGLED in page.text("#session-name")
     assert SMUGGLED in page.text("#notes")
-    assert SMUGGLED in page.text("#channels")
+    assert SMUGGLED in page.text("#feet")
+    assert SMUGGLED in page.text("#notices")
+    assert page.text("#marked button") == SMUGGLED[:80]
     assert SMUGGLED in page.text("#strides")
     assert SMUGGLED in page.text("#message")
     assert page.text("#sent-0") == "12.5 mA"

@@ -8,6 +8,8 @@ import { clock, foot, ground, make, number, percent, phase, PHASES, side, STATES
 const $ = (id) => document.getElementById(id);
 const STOP_WITHIN_MS = 500;
 const STALE_MS = 500;
+const OLD_MS = 40; // the gate takes no older sample
+const SILENT_MS = 1000;
 const SAID_MS = 5000;
 const ROWS = 10;
 const MARKS_KEPT = 6; // to be set again by one press
@@ -15,7 +17,7 @@ const NUMBERED = /^mark \d+$/;
 const CURRENT = ["armed", "running"];
 const BESIDE = "Use the SPACE key at the computer, or the stop button beside you.";
 
-const view = { about: null, status: null, role: "nobody", stopAsked: 0, lost: "", refused: "", ended: "", asked: 0, said: "" };
+const view = { about: null, status: null, role: "nobody", stopAsked: 0, lost: "", refused: "", ended: "", asked: 0, said: "", sent: {} };
 const sideView = new SideView($("side"));
 const lengths = new StrideChart($("length"), "stride_length_m", 1, 0.8, 2);
 const clearances = new StrideChart($("clearance"), "clearance_m", 100, 10, 1);
@@ -29,7 +31,7 @@ function hello(about) {
   if (view.about) empty();
   else {
     view.about = about;
-    document.body.classList.toggle("replay", about.mode === "replay");
+    document.body.classList.add(about.mode); // live, exercise or replay
     write($("session-name"), `${about.name}${about.mode === "replay" ? " (replay)" : ""}`);
     write($("most"), about.mode === "replay" ? "" : ` of at most ${percent(about.most_intensity)}`);
     $("ground").hidden = about.mode !== "live";
@@ -37,19 +39,8 @@ function hello(about) {
     document.title = `FES: ${about.name}`;
     envelope = new EnvelopeChart($("envelope"), about.channels);
     const shown = about.channels[0];
-    write($("shaded"), shown ? `shaded: swing of the ${foot(shown.foot).toLowerCase()}` : "no channel");
-    about.channels.forEach((each, at) => {
-      const key = make("span", { class: "key" });
-      const [name, dash] = EnvelopeChart.line(at);
-      key.style.borderTopColor = `var(${name})`;
-      key.classList.toggle("dashed", dash.length > 0);
-      $("channels").append(make("span", {}, key, `${each.name}: `, make("b", { id: `sent-${each.number}` }, "0.0 mA")));
-    });
-    if (shown) {
-      const dot = make("span", {}, "●");
-      dot.style.color = "var(--given)";
-      $("channels").append(make("span", {}, dot, " answered by the stimulator"));
-    }
+    write($("shaded"), shown ? `shaded: swing of the ${foot(shown.foot).toLowerCase()}` : "");
+    $("envelope-panel").hidden = !shown;
   }
   draw();
 }
@@ -71,7 +62,7 @@ function frame(said) {
   for (const [ms, severity, text] of said.notes ?? []) note(ms, severity, text);
   for (const [ms, which, name] of said.phases ?? []) if (which === view.about.channels[0]?.foot) envelope.phase(ms, name);
   envelope.add(said.sent ?? [], said.answered ?? []);
-  for (const [, channel, ma] of said.sent ?? []) if ($(`sent-${channel}`)) write($(`sent-${channel}`), `${ma.toFixed(1)} mA`);
+  for (const [, channel, ma] of said.sent ?? []) view.sent[channel] = ma;
   if (said.strides) for (const each of [sideView, lengths, clearances]) each.draw();
   if (said.status) {
     view.status = said.status;
@@ -122,15 +113,15 @@ function draw() {
     : status ? words(status.state) : ["CONNECTED", "Waiting for the session."];
   document.body.dataset.state = view.ended ? "ended" : blind ? "lost" : status?.state ?? "unknown";
   write($("state-word"), word);
-  write($("state-text"), !blind && !view.ended && status?.fault && status.fault !== "emergency stop"
-    ? [`${status.fault}.`, status.remedy, text].filter(Boolean).join(" ") : text);
+  write($("state-text"), text);
+  faults(status, blind || view.ended);
   const on = Boolean(status?.on) && !blind && !view.ended;
   $("current").className = on ? "on" : "off";
   write($("current"), on ? "⚡ Current ON" : blind && !view.ended ? "Current unknown" : "No current");
   alarm(blind);
   write($("link-text"), view.role === "control" ? "this page controls" : view.role === "watch" ? "this page watches" : "no valid link");
   document.body.classList.toggle("watching", view.role === "watch");
-  write($("message"), view.said || [status?.message, ...(status?.notices ?? []).map((each) => `! ${each}`)].filter(Boolean).join(" · "));
+  write($("message"), view.said || status?.message || "");
   write($("intensity"), status ? percent(status.intensity) : "–");
   buttons(status, Boolean(blind || view.ended));
 }
@@ -138,6 +129,18 @@ function draw() {
 function words(state) {
   if (view.about?.mode === "exercise" && state === "armed") return ["EXERCISE", "Bursts come and go by the clock, above intensity 0."];
   return STATES[state] ?? [state.toUpperCase(), ""];
+}
+
+/** Right below the state: what is wrong and what to do about it; what to know though nothing is, above all else. */
+function faults(status, old) {
+  const fault = !old && status?.fault && status.fault !== "emergency stop" ? status.fault : "";
+  $("fault").hidden = !fault;
+  write($("fault-text"), fault ? `${fault}.` : "");
+  write($("remedy"), fault && status.remedy ? `What to do: ${status.remedy}` : "");
+  const notices = status?.notices ?? [];
+  $("notices").hidden = !notices.length;
+  while ($("notices").children.length > notices.length) $("notices").lastChild.remove();
+  notices.forEach((text, at) => write($("notices").children[at] ?? $("notices").appendChild(make("li")), text));
 }
 
 function alarm(blind) {
@@ -165,32 +168,63 @@ function buttons(status, blind) {
   $("up").disabled = blind || !controls || !(current || state === "shadow") || status.intensity >= view.about.most_intensity - 1e-6;
 }
 
+/** What stimulates first: the feet that channels follow, with their currents; then other feet; then one line of the rest. */
 function feet(status) {
-  $("feet").dataset.count = Math.min(Object.keys(status.feet).length, 6); // how many stand side by side
-  for (const [sensor, now] of Object.entries(status.feet).sort()) {
-    const id = `foot-${sensor}`;
-    const card = $(id) ?? $("feet").appendChild(footCard(id, sensor));
+  const worn = status.feet;
+  const driving = new Map(view.about.feet.map((name) => {
+    const shank = `${side(name)}_shank`;
+    const sensor = worn[name]?.phase || !worn[shank]?.phase ? name : shank;
+    return [sensor, view.about.channels.filter((each) => each.foot === name)];
+  }));
+  const others = Object.keys(worn).sort().filter((sensor) => worn[sensor].phase && !driving.has(sensor));
+  const shown = [...driving.keys(), ...others];
+  for (const card of [...$("feet").children]) if (!shown.includes(card.dataset.sensor)) card.remove();
+  for (const sensor of shown) {
+    const now = worn[sensor];
+    const card = $(`foot-${sensor}`) ?? $("feet").appendChild(footCard(sensor, driving.get(sensor) ?? []));
     const set = (what, text) => write(card.querySelector(`.${what}`), text);
-    set("walks", now.walking ? "walking" : "not walking");
-    set("phase", now.phase ? phase(now.phase) : "–");
-    for (const each of card.querySelectorAll(".phases li")) each.classList.toggle("now", each.dataset.phase === now.phase);
-    set("strides", String(now.strides));
-    set("length", unit(now.stride_length_m, "m"));
-    set("speed", unit(now.speed_mps, "m/s"));
-    set("age", now.age_ms > 1000 ? "silent" : `${now.rate_hz.toFixed(0)} Hz`);
-    card.querySelector(".age").classList.toggle("bad", now.age_ms > 40);
+    const seen = now && now.age_ms <= SILENT_MS ? now.phase : "";
+    set("walks", !seen ? "phase not known" : now.walking ? "walking" : "not walking");
+    set("phase", seen ? phase(seen) : "–");
+    for (const each of card.querySelectorAll(".phases li")) each.classList.toggle("now", each.dataset.phase === seen);
+    set("strides", String(now?.strides ?? "–"));
+    set("length", unit(now?.stride_length_m, "m"));
+    set("speed", unit(now?.speed_mps, "m/s"));
+    set("age", !now ? "none" : rate(now));
+    card.querySelector(".age").classList.toggle("bad", !now || now.age_ms > OLD_MS);
+    for (const each of driving.get(sensor) ?? []) {
+      const ma = view.sent[each.number] ?? 0;
+      write($(`sent-${each.number}`), `${ma.toFixed(1)} mA`);
+      card.querySelector(`[data-channel="${each.number}"]`).classList.toggle("on", ma > 0);
+    }
   }
+  $("roles").dataset.cards = Math.min(shown.length, 3);
+  const rest = Object.keys(worn).sort().filter((sensor) => !shown.includes(sensor));
+  $("others").hidden = !rest.length;
+  write($("others"), `Other sensors: ${rest.map((sensor) => `${foot(sensor).toLowerCase()} ${rate(worn[sensor])}`).join(" · ")}`);
+  $("others").classList.toggle("bad", rest.some((sensor) => worn[sensor].age_ms > OLD_MS));
 }
 
-function footCard(id, sensor) {
-  const card = make("section", { class: `foot ${side(sensor)}`, id });
-  card.append(make("h2", {}, foot(sensor), make("small", { class: "walks" })), make("p", { class: "phase" }));
+const rate = (now) => (now.age_ms > SILENT_MS ? "silent" : `${now.rate_hz.toFixed(0)} Hz`);
+
+function footCard(sensor, channels) {
+  const card = make("section", { class: `foot ${side(sensor)} ${channels.length ? "drives" : ""}`, id: `foot-${sensor}`, "data-sensor": sensor });
+  card.append(make("h2", {}, foot(sensor), make("small", { class: "walks" })));
+  for (const each of channels) {
+    const key = make("span", { class: "key" });
+    const [name, dash] = EnvelopeChart.line(view.about.channels.indexOf(each));
+    key.style.borderTopColor = `var(${name})`;
+    key.classList.toggle("dashed", dash.length > 0);
+    card.append(make("p", { class: "channel", "data-channel": each.number },
+      make("span", { class: "named" }, key, each.name),
+      make("span", {}, make("b", { id: `sent-${each.number}` }), make("small", {}, ` of ${each.current_ma.toFixed(1)}`))));
+  }
   const numbers = make("dl", { class: "numbers" });
   for (const [key, label] of [["strides", "strides"], ["length", "last length"], ["speed", "speed"], ["age", "sensor"]])
     numbers.append(make("div", {}, make("dt", {}, label), make("dd", { class: key }, "–")));
   const bar = make("ol", { class: "phases" });
   for (const [key, label] of PHASES) bar.append(make("li", { "data-phase": key }, label));
-  card.append(numbers, bar);
+  card.append(make("p", { class: "phase" }), numbers, bar);
   return card;
 }
 
