@@ -55,6 +55,30 @@ def test_a_page_gets_its_tables_with_their_source_and_its_constants(figures, kep
 
 
 @pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("one; H, ; SL, m; one ([\\d.]+)", "1.37"),
+        ("one; .*; SL, m; least ([\\d.−]+)", "−0.83"),
+        ("one; .*; SL, m; most ± ([\\d.]+)", "0.08"),
+        ("one; .*; n; sum ([\\d,]+)", "1,033"),
+        ("one; note; ; one of (\\d+) feet", "12"),
+    ],
+)
+def test_a_page_gets_single_figures_of_a_table(figures, kept, tmp_path, asked, said):
+    replace(kept, notes=["3 of 12 feet"]).keep(tmp_path / "one.json")
+    assert figures.rendered(f"It is <!-- figure: {asked} -->old<!-- / --> cm.", tmp_path).endswith(
+        f"-->{said}<!-- / --> cm."
+    )
+
+
+@pytest.mark.parametrize("asked", ["one; X; n; one (\\d+)", "one; .*; n; one (\\d+)", "one; H; m; one (\\d+)"])
+def test_what_a_table_does_not_say_is_no_figure(figures, kept, tmp_path, asked):
+    kept.keep(tmp_path / "one.json")
+    with pytest.raises(ValueError, match="figures"):
+        figures.figure(asked, tmp_path)
+
+
+@pytest.mark.parametrize(
     ("row", "far"),
     [
         (["H", "1.37 ± 0.06", "1,024"], False),

@@ -6,8 +6,9 @@
 
 A page names figures and holds none: between ``<!-- figures: NAME -->`` and ``<!-- end of figures -->`` stand a result's
 tables and when, of what and by which command they were made; ``<!-- constant: module:NAME, FORMAT, × FACTOR -->`` and
-``<!-- / -->`` hold a constant of the program, times a factor where the page has another unit. A number may move by one
-in its last digit shown before the check fails: by less nobody sees it, and processors differ in their last bits.
+``<!-- / -->`` hold a constant of the program, times a factor where the page has another unit; ``<!-- figure: NAME; ROW;
+COLUMN; HOW -->`` and ``<!-- / -->`` what cells of a result say (:func:`figure`). A number may move by one in its last
+digit shown before the check fails: by less nobody sees it, and processors differ in their last bits.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS, PAGES = ROOT / "benchmarks" / "results", ROOT / "docs"
 BLOCK = re.compile(r"<!-- figures: ([\w-]+) -->\n.*?<!-- end of figures -->", re.DOTALL)
 CONSTANT = re.compile(r"<!-- constant: ([\w.]+):([\w.]+), ([\w.,+]+)(?:, × (\S+))? -->[^<]*<!-- / -->")
+FIGURE = re.compile(r"<!-- figure: ([^>]+?) -->[^<]*<!-- / -->")
 NUMBER = re.compile(r"[-+−]?\d[\d,]*(?:\.\d+)?")
 NO_RECORDINGS = 3  # a benchmark's exit code without the recordings of others that it needs
 
@@ -115,13 +117,55 @@ def rendered(page: str, results: Path = RESULTS) -> str:
         text = Result.read(results / f"{found[1]}.json").markdown()
         return f"<!-- figures: {found[1]} -->\n\n{text}\n\n<!-- end of figures -->"
 
-    def constant(found: re.Match[str]) -> str:
-        value: Any = importlib.import_module(found[1])
-        for name in found[2].split("."):
-            value = getattr(value() if isinstance(value, type) else value, name)  # of settings as they come
-        return f"{found[0].partition('-->')[0]}-->{value * float(found[4] or 1.0):{found[3]}}<!-- / -->"
+    def inline(found: re.Match[str], text: str) -> str:
+        return f"{found[0].partition('-->')[0]}-->{text}<!-- / -->"
 
-    return CONSTANT.sub(constant, BLOCK.sub(block, page))
+    page = FIGURE.sub(lambda found: inline(found, figure(found[1], results)), BLOCK.sub(block, page))
+    return CONSTANT.sub(lambda found: inline(found, constant(*found.groups())), page)
+
+
+def constant(module: str, path: str, form: str, factor: str | None = None) -> str:
+    """A constant of the program as a page has it.
+
+    Raises:
+        ImportError, AttributeError: there is none of this name.
+    """
+    value: Any = importlib.import_module(module)
+    for name in path.split("."):
+        value = getattr(value() if isinstance(value, type) else value, name)  # of settings as they come
+    return f"{value * float(factor or 1.0):{form}}"
+
+
+def figure(asked: str, results: Path = RESULTS) -> str:
+    """What cells of a kept result say, asked for as ``NAME; ROW; COLUMN; HOW``.
+
+    ROW is an expression that the row's cells, joined by ", ", begin with, COLUMN one for the column's whole name. HOW
+    is ``one``, ``least``, ``most`` or ``sum`` and an expression with one group: what is taken of each cell in which it
+    is found, a number but for ``one``. ROW ``note`` asks the notes instead, which have no columns.
+
+    Raises:
+        FileNotFoundError: no such result.
+        ValueError: nothing is found, or several where ``one`` is asked for.
+    """
+    name, row, column, how = (part.strip() for part in asked.split(";"))
+    kept = Result.read(results / f"{name}.json")
+    cells = [
+        cell
+        for table in kept.tables
+        for line in table.rows
+        if row != "note" and re.match(row, ", ".join(line))
+        for title, cell in zip(table.columns, line, strict=True)
+        if re.fullmatch(column, title)
+    ]
+    kind, _, expression = how.partition(" ")
+    found = [got[1] for cell in (kept.notes if row == "note" else cells) if (got := re.search(expression, cell))]
+    if not found or (kind == "one" and len(set(found)) > 1):
+        raise ValueError(f"{asked}: {len(found)} figures")
+    if kind == "one":
+        return found[0]
+    if kind == "sum":
+        return f"{sum(map(_value, found)):,.0f}"
+    return {"least": min, "most": max}[kind](found, key=_value)
 
 
 def named(pages: Path = PAGES) -> set[str]:
@@ -198,6 +242,7 @@ LONG: dict[str, Sequence[str]] = {
     "papers": ("accuracy/papers.py",),
     "harm": ("loop/virtual_harm.py",),
     "disorder": ("safety/disorder.py",),
+    "exchanged-feet": ("safety/exchanged_feet.py",),
     "every-walker": ("accuracy/every_walker.py",),
     "left-out": ("accuracy/left_out.py", "--constants", *SEVEN.split()),
     "landings": ("accuracy/landings.py",),

@@ -1,11 +1,12 @@
 """How soon two sensors on each other's feet are told by the session's check of sides, and how often it is wrong.
 
-    python benchmarks/safety/exchanged_feet.py [--patients 20] [--data FOLDER]
+    python benchmarks/safety/exchanged_feet.py [--patients 12] [--data FOLDER] [--json FILE]
 
 Each walk's sensors are exchanged with the calibration stored, and once more left as they are. A channel's third burst
 begins in its foot's fourth stride (one stride of walking, then a burst in each). *Strides asked* is how many of each
-foot the check waits for; the product's own is marked. Named: at the score that the product asks for. False: a walk on
-its own sides that is called exchanged at any time.
+foot the check waits for; the product's own is marked. Named: at the score that the product asks for, before the
+third burst and at all, and the stride of that in the middle. False: a walk on its own sides that is called exchanged at
+any time.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from rich.table import Table
 
 from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, runs_of
-from benchmarks.lib.command_line import parser_of
+from benchmarks.lib.command_line import console_of, parser_of, publish
 from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import tell_sides
 from fes.datasets.packed_walks import read_stroke_walks
@@ -35,6 +37,7 @@ from fes.simulation.forward.closed_loop import recorded_walk
 BUNDLED = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_100hz.parquet"
 SEVERITIES, WALKS_S, RATE_HZ, FIRST_SEED = ("healthy", "moderate", "severe"), 40.0, 100.0, 8000
 ASKED, BURSTS_STRIDE = (1, 2, 3, 5), 4
+COLUMNS = ("feet", "strides asked", "pairs", "not calibrated", "before the third burst", "in all", "in stride", "false")
 Seen = list[tuple[int, str, int, FloatArray]]  # of a stride that can tell: its end, its foot, its number, its signs
 Feet = Mapping[str, Track]
 
@@ -104,8 +107,8 @@ def virtual(patients: int) -> Iterator[tuple[str, Feet]]:
         yield f"{severity} {seed}", recorded_walk(settings, WALKS_S, 1.0, "sides", "simulated").tracks
 
 
-def report(group: str, walks: Iterator[tuple[str, Feet]]) -> None:
-    """One line for each number of strides asked."""
+def report(group: str, walks: Iterator[tuple[str, Feet]], table: Table) -> None:
+    """One row for each number of strides asked."""
     exchanged, own, refused = list[Seen](), list[Seen](), 0
     for _, tracks in walks:
         feet = {foot: tracks[foot] for foot in FOOT_SENSORS if foot in tracks}
@@ -120,32 +123,31 @@ def report(group: str, walks: Iterator[tuple[str, Feet]]) -> None:
         other = {"left_foot": replace(right, sensor="left_foot"), "right_foot": replace(left, sensor="right_foot")}
         own.append(seen_in(feet, calibrations))
         exchanged.append(seen_in(other, calibrations))
-    print(f"{group}: {len(own)} pairs of feet, {refused} could not be calibrated")
     for asked in ASKED:
         told = [named(seen, asked) for seen in exchanged]
         soon = sum(at is not None and at < BURSTS_STRIDE for at in told)
         at_all = [at for at in told if at is not None]
         false = sum(named(seen, asked) is not None for seen in own)
-        middle = f"{np.median(at_all):.0f}" if at_all else "-"
-        share, whole = (100.0 * each / max(len(own), 1) for each in (soon, len(at_all)))
-        mark = " (the product's)" if asked == LEAST_STRIDES else ""
-        print(
-            f"  {asked} strides asked{mark}: named before the third burst {share:.0f} % ({soon}), at all "
-            f"{whole:.0f} % ({len(at_all)}, in the {middle}. stride in the middle); false {false}"
+        middle = f"{np.median(at_all):.0f}" if at_all else "–"
+        mark = ", the product's" if asked == LEAST_STRIDES else ""
+        table.add_row(
+            group, f"{asked}{mark}", *(str(each) for each in (len(own), refused, soon, len(at_all))), middle, str(false)
         )
 
 
 def main() -> None:
     """Real, bundled and virtual feet."""
     parser = parser_of(__doc__, data_folder())
-    parser.add_argument("--patients", type=int, default=20)
+    parser.add_argument("--patients", type=int, default=12)
     options = parser.parse_args()
-    report("bundled", iter([("bundled", read_recording(BUNDLED).tracks)]))
-    report("virtual patients", virtual(options.patients))
+    table = Table(*COLUMNS)
+    report("bundled", iter([("bundled", read_recording(BUNDLED).tracks)]), table)
+    report("virtual", virtual(options.patients), table)
     if options.data.is_dir():
-        report("stroke survivors on a treadmill", real(options.data))
-        report("others on a treadmill", real(options.data / "unseen_walkers"))
-        report("stroke survivors and others on a floor", on_a_floor(options.data))
+        report("stroke survivors, treadmill", real(options.data), table)
+        report("others, treadmill", real(options.data / "unseen_walkers"), table)
+        report("stroke survivors and others, floor", on_a_floor(options.data), table)
+    publish(console_of(140), [table], options)
 
 
 if __name__ == "__main__":
