@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from documents import HAZARDS
+from risks import HAZARDS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "mutation"))
 
@@ -61,7 +61,7 @@ def main() -> None:
             path.write_text(good, encoding="utf-8")
             verdict = "ok" if before and not after else "BAD: " + ("passes without it" if after else "fails with it")
             bad += verdict != "ok"
-            print(f"{verdict:4} {hazard['cause']} | {test.rsplit('::', 1)[1]}", flush=True)
+            print(f"{verdict:4} {hazard['id']} {hazard['cause']} | {test.rsplit('::', 1)[1]}", flush=True)
     if bad:
         raise SystemExit(1)
 
