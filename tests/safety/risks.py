@@ -212,7 +212,7 @@ def evidence(hazard: dict[str, Any]) -> str:
     if not found.of:
         return found.text
     alone = grade_of(SHARES[hazard["probability_before"]] * found.most_missed)
-    return f"{found.text}; at most {found.most_missed:.1%} get past it: P{alone} by the count alone"
+    return f"{found.text}; at most {100.0 * found.most_missed:.1f} % get past it: P{alone} by the count alone"
 
 
 def counted(when: str) -> str:

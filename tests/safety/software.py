@@ -128,7 +128,8 @@ software that others wrote.
 
 The software as a whole is of class C. What an item of class C uses is of class C as well; a test reads every import
 and holds that, but for the pairs below. The supervisor's process and the stimulator's own lease are apart from the
-controller, yet no class is lowered for them.
+controller, yet no class is lowered for them. Controls in `drivers.simulated` are those of a stimulator's firmware: a
+real one must have them.
 
 | item | class | why | controls of hazards in it |
 |---|---|---|---|

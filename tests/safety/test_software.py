@@ -9,7 +9,7 @@ import tomllib
 from typing import Any
 
 import pytest
-from risks import ROOT
+from risks import HAZARDS, ROOT
 from software import (
     BILL,
     CLASSES,
@@ -41,6 +41,17 @@ def test_what_an_item_uses_is_of_no_lower_class_but_where_it_is_kept_apart() -> 
         if ITEMS[used]["class"] < ITEMS[user]["class"]
     }
     assert lower == {(each["user"], each["used"]) for each in SOFTWARE["apart"]}
+
+
+def test_what_controls_a_serious_harm_is_of_the_highest_class() -> None:
+    """But for a stimulator's firmware, which is simulated here."""
+    lower = {
+        item
+        for hazard in HAZARDS
+        if hazard["severity"] >= 3
+        and ITEMS[item := item_of(hazard["file"].removesuffix(".py").replace("/", "."))]["class"] != "C"
+    }
+    assert lower == {"drivers.simulated"}
 
 
 def test_gate_plan_phases_and_supervisor_are_of_the_highest_class() -> None:
