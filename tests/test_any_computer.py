@@ -104,7 +104,7 @@ def test_commands_on_files_are_imported(tmp_path: Path) -> None:
     run_without_linux(f"import fes.notebook, fes.hil.closed_loop.one_process, {names}", folder=tmp_path)
 
 
-@pytest.mark.parametrize("command", [["run"], ["exercise"], ["doctor"], ["hil"], ["simulate", "--live"]])
+@pytest.mark.parametrize("command", [["run"], ["exercise"], ["doctor"], ["hil"], ["qualify"], ["simulate", "--live"]])
 def test_live_says_why_it_wants_linux(command: list[str], tmp_path: Path) -> None:
     program = """
 import click.testing, fes.cli.simulate

@@ -25,7 +25,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("fes.control", "fes.simulation", "fes.datasets", "fes.witness"),
     ("fes.calibration", "drivers"),
     ("fes.analysis", "fes.live", "drivers.simulated"),
-    ("fes.evaluation", "fes.hil"),
+    ("fes.evaluation", "fes.hil", "fes.qualify"),
     ("fes.report",),
     ("fes.cohort",),
     ("fes.notebook",),
@@ -188,10 +188,10 @@ def test_what_decides_asks_nobody_for_the_time(module: str) -> None:
 
 def test_only_the_commands_wire_drivers_to_the_controller() -> None:
     users = {module for module in modules() if any(within(name, {"drivers"}) for name in imports(module))}
-    outside = {module for module in users if not within(module, {"drivers", "fes.cli", "fes.hil"})}
+    outside = {module for module in users if not within(module, {"drivers", "fes.cli", "fes.hil", "fes.qualify"})}
     assert not outside
     hardware = {module for module in of("fes") if any(within(name, {"serial", "can"}) for name in imports(module))}
-    assert hardware <= {"fes.recording.can_log"}  # a CAN log is a file
+    assert hardware <= {"fes.recording.can_log", "fes.qualify.simulated"}  # a CAN log is a file; a bus without wire
 
 
 def test_only_the_views_own_process_draws() -> None:

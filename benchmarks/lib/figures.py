@@ -236,7 +236,10 @@ def check(quick: dict[str, Sequence[str]], results: Path = RESULTS) -> int:
     return int(bool(wrong))
 
 
-QUICK: dict[str, Sequence[str]] = {"papers-simulated": ("accuracy/papers.py", "--simulated")}
+QUICK: dict[str, Sequence[str]] = {
+    "papers-simulated": ("accuracy/papers.py", "--simulated"),
+    "dead-sensor": ("safety/dead_sensor.py",),
+}
 SEVEN = "turn_rad lifts_after shortest_swing_share slowed_share rest_share flat_rad settled_share"
 LONG: dict[str, Sequence[str]] = {
     "papers": ("accuracy/papers.py",),

@@ -14,8 +14,9 @@ from typing import Any, Final
 
 from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_codec import Flags, Header, Package, SensorState, SyncMode
-from drivers.imu.line import ByteLine
+from drivers.imu.line import ByteLine, LineOpener
 from drivers.imu.port import NOT_A_NUMBER, ImuLost, OneSensorPort, text_option, whole_option
+from drivers.stimulator.serial_line import Line
 from fes.config import ImuDevice
 from fes.signals import NS_PER_S, RawSample
 
@@ -96,6 +97,7 @@ class Capture2GoPort(OneSensorPort):
         self._expect_samples()
         info = self._ask(Header.CMD_GET_DEVICE_INFO, {}, Header.DATA_DEVICE_INFO)
         self.serials = {self._device.sensor: info["serial"].decode("ascii", "replace")}
+        self.firmwares = {self._device.sensor: info["firmwareVersion"].rstrip(b"\0").decode("ascii", "replace")}
         state = self._ask(Header.CMD_GET_STATUS, {}, Header.DATA_STATUS)["sensorState"]
         if state == SensorState.RECORDING:
             raise ImuLost(f"{self._name}: records to its own storage; end that recording first")
@@ -165,12 +167,18 @@ class Capture2GoPort(OneSensorPort):
 class Capture2GoImu(Capture2GoPort):
     """:class:`~drivers.imu.port.ImuPort` for one Capture2Go on its USB line."""
 
-    _line: ByteLine
+    _line: Line
+
+    def __init__(
+        self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns, opener: LineOpener = ByteLine
+    ) -> None:
+        self._opener = opener
+        super().__init__(device, clock_ns)
 
     def _open(self) -> None:
         self._decoder = c2g.Capture2GoDecoder(self._counts)
         baudrate = whole_option(self._device, "baudrate", 115200, 1)
-        self._line = ByteLine(self._device.sensor, self._device.port, baudrate)
+        self._line = self._opener(self._device.sensor, self._device.port, baudrate)
         try:
             self._begin()
         except ImuLost:

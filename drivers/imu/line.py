@@ -5,6 +5,7 @@ pyserial opens it; reading goes straight to the descriptor, so that a line whose
 
 import os
 import socket
+from collections.abc import Callable
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -12,7 +13,8 @@ import serial
 
 from drivers.imu.port import ImuLost, OneSensorPort
 from drivers.receive_buffer import make_room
-from drivers.stimulator.serial_line import SerialLine
+from drivers.stimulator.serial_line import Line, SerialLine
+from fes.config import ImuDevice
 
 READ_AT_MOST: Final = 65536
 READS_AT_MOST: Final = 1024  # datagrams, mostly: a flooded line must not hold the control loop
@@ -64,10 +66,18 @@ class ByteLine(SerialLine):
         raise ImuLost(f"{self.name} did not take a command. {_HINT}")
 
 
-class LineSensorPort(OneSensorPort):
-    """Base of a port whose one sensor is behind a :class:`ByteLine`."""
+LineOpener = Callable[[str, str, int], Line]
+"""Opens the line of a sensor: its name, its port, its baud rate."""
 
-    _line: ByteLine
+
+class LineSensorPort(OneSensorPort):
+    """Base of a port whose one sensor is behind a :class:`ByteLine`, or behind what another ``opener`` opens."""
+
+    _line: Line
+
+    def __init__(self, device: ImuDevice, opener: LineOpener = ByteLine) -> None:
+        self._opener = opener
+        super().__init__(device)
 
     def fileno(self) -> int:
         """The line's descriptor."""

@@ -45,11 +45,12 @@ class LineCounts:
 class ImuPort(ABC):
     """One line with one sensor or several. Only opening waits; nothing here reads a clock.
 
-    ``serials``: by sensor, the serial number of the device there, where it tells one.
+    ``serials``: by sensor, the serial number of the device there, where it tells one; ``firmwares``: so its firmware.
     """
 
     sensors: tuple[str, ...]
     serials: Mapping[str, str] = MappingProxyType({})
+    firmwares: Mapping[str, str] = MappingProxyType({})
     counts: dict[str, LineCounts]
 
     @property

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.imu import xbus_codec as xbus
-from drivers.imu.line import ByteLine, LineSensorPort
+from drivers.imu.line import ByteLine, LineOpener, LineSensorPort
 from drivers.imu.port import ImuLost, StampClock, flag_option, whole_option
 from drivers.imu.xbus_codec import Mid, Xdi
 from fes.config import ImuDevice
@@ -27,7 +27,9 @@ class XbusImu(LineSensorPort):
         ImuLost: no such line, or no MTi answers on it.
     """
 
-    def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns, opener: LineOpener = ByteLine
+    ) -> None:
         self._clock_ns = clock_ns
         self._baudrate = whole_option(device, "baudrate", 115200, 1)
         self._configures = flag_option(device, "configure", True)
@@ -40,13 +42,13 @@ class XbusImu(LineSensorPort):
                 f"{device.sensor}: {device.rate_hz:g} Hz need {needs:.0f} baud, options.baudrate is {self._baudrate}; "
                 "set the sensor and this option to a higher one"
             )
-        super().__init__(device)
+        super().__init__(device, opener)
 
     def _open(self) -> None:
         self._decoder = xbus.XbusDecoder(self._counts)
         self._stamps = StampClock(32, xbus.TIME_FINE_TICK_NS)
         self._expect_samples(counter_bits=16)
-        self._line = ByteLine(self._device.sensor, self._device.port, self._baudrate)
+        self._line = self._opener(self._device.sensor, self._device.port, self._baudrate)
         try:
             if self._configures:
                 self._configure()

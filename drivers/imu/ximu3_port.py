@@ -14,7 +14,7 @@ from collections import deque
 from typing import Any
 from urllib.parse import urlsplit
 
-from drivers.imu.line import ByteLine, LineSensorPort
+from drivers.imu.line import LineSensorPort
 from drivers.imu.port import ImuLost, OneSensorPort, whole_option
 from drivers.imu.ximu3_codec import Inertial, Ximu3Decoder
 from fes.config import ImuDevice
@@ -38,7 +38,7 @@ class Ximu3Imu(LineSensorPort, _Ximu3Port):
         self._decoder = Ximu3Decoder(self._counts)
         self._expect_samples()
         baudrate = whole_option(self._device, "baudrate", 115200, 1)
-        self._line = ByteLine(self._device.sensor, self._device.port, baudrate)
+        self._line = self._opener(self._device.sensor, self._device.port, baudrate)
 
     def read(self, t_ns: int) -> list[RawSample]:
         """All inertial messages that have arrived."""

@@ -21,6 +21,7 @@ COMMANDS: Final = {
         "fes.cli.doctor.command",
         "Before a session: ports, buses, rates, clocks, disk, permissions, with remedies.",
     ),
+    "qualify": ("fes.cli.qualify", "One device measured and handled by steps; evidence. A stimulator STIMULATES a load."),
     "replay": ("fes.cli.replay.command", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "timing": (
         "fes.cli.timing.command",
@@ -45,7 +46,7 @@ COMMANDS: Final = {
 }
 
 
-LIVE: Final = ("run", "exercise", "doctor", "hil")
+LIVE: Final = ("run", "exercise", "doctor", "hil", "qualify")
 WANTS_LINUX: Final = (
     "fes {} wants Linux. A live session relies on what only Linux gives it: a priority that other programs cannot take "
     "(SCHED_FIFO), memory that is never swapped out (mlockall), processes that are told when the session dies "

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -55,6 +55,21 @@ BOOT_NS: Final = 300_000_000
 CABLE_M, CABLE_SWING_RAD, CABLE_SPIN_RADPS = 0.3, 0.4, 1.5  # a sensor that has come off and hangs below the knee
 _NAN: Final = (math.nan, math.nan, math.nan)
 _INF: Final = (math.inf, -math.inf, math.inf)
+
+
+class Signal(Protocol):
+    """What a sensor feels: ``rate_hz`` samples a second, ``size`` of them, then again from the first."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+
+    @property
+    def size(self) -> int:
+        """Samples until it begins again."""
+
+    def sample(self, number: int) -> tuple[Vector3, Vector3]:
+        """Specific force in m/s² and rate in rad/s of the ``number``-th sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +130,7 @@ class SimulatedImu(Device):
     def __init__(
         self,
         wire: Wire,
-        signal: ImuSignal,
+        signal: Signal,
         t_ns: int,
         *,
         offset_s: float = 0.0,

@@ -10,9 +10,8 @@ from itertools import count
 
 import can
 
-from drivers.simulated.lines import LineFaults
+from drivers.simulated.lines import Device, LineFaults
 from drivers.simulated.stimulator.firmware import NodeFaults, StimulatorNode
-from drivers.simulated.stimulator.serial_device import SimulatedDevice
 from drivers.stimulator.can_codec import Frame
 from drivers.stimulator.can_port import CanStimulator, Handshake
 from drivers.stimulator.port import StimulatorLost
@@ -22,12 +21,12 @@ from fes.simulation.forward.settings import DeliveredPulse
 
 @dataclass(eq=False)
 class DeviceLine:
-    """A serial device as a :class:`~drivers.stimulator.serial_line.Line`.
+    """A device on a line of bytes as a :class:`~drivers.stimulator.serial_line.Line`.
 
     Writing reaches the device at once, at :attr:`t_ns`; waiting lets its time pass.
     """
 
-    device: SimulatedDevice
+    device: Device
     t_ns: int = 0
     faults: LineFaults = field(default_factory=LineFaults)
     unplugged: bool = False
