@@ -21,7 +21,7 @@ COMMANDS: Final = {
         "fes.cli.doctor.command",
         "Before a session: ports, buses, rates, clocks, disk, permissions, with remedies.",
     ),
-    "qualify": ("fes.cli.qualify", "One device measured and handled by steps; evidence. A stimulator STIMULATES a load."),
+    "qualify": ("fes.cli.qualify", "One device gone through by steps; evidence. STIMULATES, into a dummy load."),
     "replay": ("fes.cli.replay.command", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "timing": (
         "fes.cli.timing.command",

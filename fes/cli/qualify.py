@@ -5,6 +5,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -103,9 +104,10 @@ def _finish(evidence: dict[str, Any], stem: str, out: Path, key: bytes) -> None:
     evidence["figures"] = finite(evidence["figures"])
     with failing(ValueError):
         data = sealed(evidence, key)
-    path = out / f"{stem}-{evidence['when'][:10]}.json"
-    with writing(path, ". Choose another folder with --out.", StoppedEarly):
+    with writing(out, ". Choose another folder with --out.", StoppedEarly):
         out.mkdir(parents=True, exist_ok=True)
+        names = (f"{stem}-{evidence['when'][:10]}{'' if n == 1 else f'-{n}'}.json" for n in count(1))
+        path = next(out / name for name in names if not (out / name).exists())  # evidence is never written over
         path.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for name, value in data["figures"].items():
         click.echo(f"{name.replace('_', ' '):<26}{shown(value)}")

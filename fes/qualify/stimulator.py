@@ -28,6 +28,13 @@ CURRENTS: Final = 5
 WIDTHS_US: Final = (100.0, 200.0, 300.0)
 BURST_S, SWITCH_S, AFTER_S, RELEASE_S = 0.8, 2.0, 2.5, 5.0
 SETTLE_S: Final = 0.2  # a CAN node takes no current until commands have come for 128 ms
+NEEDED: Final = {
+    "max_current_ma": 20.0,  # five of the coarsest steps, 2 mA, above the least
+    "max_pulse_width_us": 200.0,
+    "max_charge_per_phase_uc": 4.0,
+    "max_rise_ma_per_s": 80.0,  # up there before the burst's second half
+    "max_on_s": SWITCH_S + 0.2,
+}
 RISES: Final = 0.8  # of the channel's own limit
 OWN_SWITCH: Final = ("rehastim2",)  # have an emergency switch of their own (docs/stimulators.md)
 LENGTH: Final = "from the first pulse of half the height to the last one before a pause of over 200 ms"
@@ -53,10 +60,10 @@ def exercise_of(session: Session, number: int, path: Path) -> Session:
     if channel is None:
         known = ", ".join(str(each.number) for each in session.channels) or "none"
         raise ConfigError(f"there is no channel {number}; the session has {known}")
-    if channel.limits.max_on_s < SWITCH_S + 0.2 or channel.limits.max_current_ma < CURRENT_MA:
+    if low := [f"{name} = {least:g}" for name, least in NEEDED.items() if getattr(channel.limits, name) < least]:
         raise ConfigError(
-            f"channel {channel.name!r}: to be qualified it needs limits of at least max_on_s = {SWITCH_S + 0.2:g} and "
-            f"max_current_ma = {CURRENT_MA:g}; nobody is connected to a dummy load"
+            f"{path}: channel {channel.name!r}: to be qualified it needs at least {', '.join(low)}. A file for "
+            "the dummy load alone may allow them"
         )
     exercise = {"on_s": SWITCH_S, "off_s": 10.0, "count": 1, "rise_s": 0.1, "fall_s": 0.1, "channels": (number,)}
     alone = {**channel.model_dump(), "never_with": (), "tuning": None}
@@ -97,8 +104,7 @@ class StimulatorBench:
     def _figures(self) -> Figures:
         port = self._open()
         step_ma, gate = port.current_step_ma, gate_of(self.session, {}, None, port.current_step_ma)
-        base_ma = min(CURRENT_MA, self.channel.limits.max_current_ma - CURRENTS * step_ma)
-        base_ma -= base_ma % step_ma
+        base_ma = CURRENT_MA - CURRENT_MA % step_ma
         currents = [base_ma + number * step_ma for number in range(CURRENTS)]
         widths = [width for width in WIDTHS_US if width <= self.channel.limits.max_pulse_width_us]
         hz = min(self.session.stimulation.command_rate_hz / 2, self.channel.limits.max_frequency_hz)

@@ -114,6 +114,8 @@ def test_a_whole_run_on_a_simulated_stimulator(tmp_path: Path) -> None:
     record = load_evidence(path)
     assert record["simulated"]
     assert record["figures"] == kept()["figures"]  # the same each time: its clock is the device's
+    assert fes("--simulated", "p24_low_level", "--out", str(tmp_path)).exit_code == 0
+    assert len(list(tmp_path.glob("*.json"))) == 2  # none is written over
 
 
 @pytest.mark.requirement("SR-01")
@@ -133,6 +135,7 @@ def test_a_whole_run_on_a_simulated_stimulator(tmp_path: Path) -> None:
             "no channel 7",
         ),
         (["--simulated", "can", "--key", "nowhere"], "nowhere"),
+        (["WEAK", "--device", "stimulator", "--by", "me", "--i-have-a-dummy-load"], "max_current_ma = 20"),
     ],
 )
 def test_what_cannot_be_done_is_said_and_nothing_is_opened(
@@ -145,7 +148,10 @@ def test_what_cannot_be_done_is_said_and_nothing_is_opened(
     monkeypatch.setattr("drivers.imu.open.open_imus", opened)
     session = tmp_path / "session.toml"
     session.write_text(SESSION, encoding="utf-8")
-    done = fes(*[str(session) if each == "SESSION" else each for each in arguments], "--out", str(tmp_path))
+    weak = tmp_path / "weak.toml"
+    weak.write_text(SESSION.replace("max_current_ma = 30.0", "max_current_ma = 15.0"), encoding="utf-8")
+    files = {"SESSION": str(session), "WEAK": str(weak)}
+    done = fes(*[files.get(each, each) for each in arguments], "--out", str(tmp_path))
     assert done.exit_code == 2, done.output
     assert said in done.output
 
