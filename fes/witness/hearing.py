@@ -17,7 +17,7 @@ from fes.witness.verdict import examine
 
 KEPT_NS: Final = 120 * NS_PER_S  # of samples: as many strides as an estimate is made from, of a slow walker
 HEARD: Final = 2 * FEWEST  # strides: what begins in the middle of them is told from what always was
-IN_A_ROW: Final = 3  # hearings (benchmarks/safety/witness.py --live)
+IN_A_ROW: Final = 5  # hearings: single ones err (docs/witness.md)
 
 
 class Hearing:
