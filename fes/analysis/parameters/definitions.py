@@ -1,7 +1,4 @@
-"""What each gait parameter is: name, symbol, unit, definition and source, for tables, hover texts and documentation.
-
-``docs/parameters.md`` says more; this table is what programs read.
-"""
+"""What each gait parameter is: name, symbol, unit, definition and source, for tables, hover texts and documentation."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -105,3 +102,12 @@ _ALL = (
 
 DEFINITIONS: Final[dict[str, Definition]] = {item.key: item for item in _ALL}
 STRIDE_KEYS: Final = tuple(item.key for item in _ALL if item.scope == "stride")
+
+
+def markdown() -> str:
+    """The table of ``docs/parameters.md``."""
+    rows = ["| key | name | unit | definition | source |", "|---|---|---|---|---|"]
+    for item in _ALL:
+        name = f"{item.name}, {item.symbol}" if item.symbol else item.name
+        rows.append(f"| `{item.key}` | {name} | {item.unit} | {item.text} | {item.source} |")
+    return "\n".join(rows)
