@@ -120,7 +120,7 @@ def _detail(path: Path, each: dict[str, Any]) -> str:
     simulated = ", simulated" if each["simulated"] else ""
     lines = [f"### {TITLES[each['what']]} {each['settings']['device']}{simulated}: {path.stem}", ""]
     lines += [f"- **{finding.name.replace('_', ' ')}**: {finding.text}" for finding in findings(each)]
-    lines += ["", "| tested | figure |", "|---|---|"]
+    lines += ["", "| tested | figure |", "|---|---|"][not findings(each) :]
     lines += [f"| {name.replace('_', ' ')} | {_cell(shown(value))} |" for name, value in each["figures"].items()]
     return "\n".join(lines) + "\n"
 
@@ -133,7 +133,7 @@ def shown(value: Any) -> str:
         return "yes" if value else "no"
     if value is None or value == "":
         return "–"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value + 0.0:.4g}" if isinstance(value, float) else str(value)  # no negative zero
 
 
 def _cell(text: str) -> str:

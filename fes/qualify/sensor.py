@@ -7,7 +7,7 @@ that the delay can be.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Final
 
@@ -96,18 +96,18 @@ class SensorBench:
         counts = self.port.counts[self.device.sensor]
         begin_ns = self.clock.now_ns()
         count_ns, end_ns = begin_ns + int(SETTLE_S * NS_PER_S), begin_ns + int((SETTLE_S + seconds) * NS_PER_S)
-        before = replace(counts)
+        before = asdict(counts)
         samples = []
         while (now_ns := self.clock.now_ns()) < end_ns and not until(now_ns):
             self.clock.wait(end_ns, self.port.fileno())
             came = self.port.read(self.clock.now_ns())
             if now_ns < count_ns:
-                before = replace(counts)
+                before = asdict(counts)
                 continue
             samples += [sample for sample in came if sample.sensor == self.device.sensor]
         if len(samples) < 4:
             raise NotQualified(f"{self.device.sensor}: nothing is heard. Does it measure, and is the port its own?")
-        gone = {name: getattr(counts, name) - getattr(before, name) for name in LineCounts.__slots__}
+        gone = {name: value - before[name] for name, value in asdict(counts).items()}
         return Heard(
             np.array([sample.t_host_ns for sample in samples]),
             np.array([sample.t_device_ns for sample in samples]),

@@ -161,8 +161,10 @@ def simulated_sensor(
     port: ImuPort
     if kind == "ximu3":
         port = Ximu3Imu(settings, lambda *_: line)
+    elif kind == "xbus":
+        port = XbusImu(settings, line.clock_ns, lambda *_: line)
     else:
-        port = {"xbus": XbusImu, "capture2go": Capture2GoImu}[kind](settings, line.clock_ns, lambda *_: line)
+        port = Capture2GoImu(settings, line.clock_ns, lambda *_: line)
     return SensorBench(settings, port, SimulatedTime(line), SensorPerson(line, feels))
 
 
@@ -236,16 +238,18 @@ class StimulatorPerson:
         gaps = np.flatnonzero(np.diff(times_ns) > PAUSE_NS)
         burst = slice(0, int(gaps[0]) + 1 if len(gaps) else len(pulses))
         end = pulses[burst][-AT_THE_END:]
-        return float(
-            {
-                "ma": lambda: np.median([pulse.current_ma for pulse in end]),
-                "us": lambda: np.median([pulse.width_us for pulse in end]),
-                "interval_ms": lambda: np.median(np.diff(times_ns[burst])) / 1e6 if len(times_ns[burst]) > 1 else 0.0,
-                "length_ms": lambda: (times_ns[burst][-1] - times_ns[0]) / 1e6,
-                "later": lambda: len(pulses) - burst.stop,
-                "after_switch_ms": lambda: max(0, int(times_ns[-1]) - self._pressed_ns) / 1e6,
-            }[key]()
-        )
+        burst_ns = times_ns[burst]
+        if key == "ma":
+            return float(np.median([pulse.current_ma for pulse in end]))
+        if key == "us":
+            return float(np.median([pulse.width_us for pulse in end]))
+        if key == "interval_ms":
+            return float(np.median(np.diff(burst_ns))) / 1e6 if len(burst_ns) > 1 else 0.0
+        if key == "length_ms":
+            return float(burst_ns[-1] - burst_ns[0]) / 1e6
+        if key == "later":
+            return float(len(pulses) - len(burst_ns))
+        return max(0, int(times_ns[-1]) - self._pressed_ns) / 1e6  # after_switch_ms
 
     def watch(self) -> None:
         """Called as time passes: the switch is pressed in the middle of the pulses."""
