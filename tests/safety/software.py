@@ -105,8 +105,8 @@ def software_page() -> str:
     apart = "\n".join(f"| `{each['user']}` | `{each['used']}` | {each['why']} |" for each in SOFTWARE["apart"])
     versions, users = locked("locks/run.lock"), users_of()
     others = "\n".join(
-        f"| {package} | {versions[package]} | {class_of(package)} | `{'`, `'.join(sorted(users[package]))}` |"
-        for package in sorted(users)
+        f"| {package} | {' or '.join(versions[package])} | {class_of(package)} | `{'`, `'.join(sorted(items))}` |"
+        for package, items in sorted(users.items())
     )
     anomalies = "\n".join(
         f"| {each['package']} | {each['name']} | {filled(each['here'])} | `{each['test']}` |".replace("`–`", "–")
@@ -164,10 +164,13 @@ it brought up. That is no complete review. Issues are those of the package's own
 
 
 @cache
-def locked(name: str) -> dict[str, str]:
-    """Package → version of a lock file."""
+def locked(name: str) -> dict[str, list[str]]:
+    """Package → its versions in a lock file: one, or one for each of several versions of Python."""
+    found: dict[str, list[str]] = {}
     text = (ROOT / name).read_text(encoding="utf-8")
-    return dict(re.findall(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^\s;\\]+)", text, re.MULTILINE))
+    for package, version in re.findall(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^\s;\\]+)", text, re.MULTILINE):
+        found.setdefault(package, []).append(version)
+    return found
 
 
 def licence(package: str) -> str:
@@ -186,17 +189,17 @@ def licence(package: str) -> str:
 def third_party_page() -> str:
     """docs/third_party.md."""
     runs, develops = locked("locks/run.lock"), locked("locks/dev.lock")
-    only = {name: version for name, version in develops.items() if name not in runs}
+    only = {name: found for name, found in develops.items() if name not in runs}
     tables = [
-        "\n".join(f"| {name} | {version} | {licence(name)} |" for name, version in sorted(packages.items()))
+        "\n".join(f"| {name} | {' or '.join(found)} | {licence(name)} |" for name, found in sorted(packages.items()))
         for packages in (runs, only)
     ]
     head = "| package | version | licence |\n|---|---|---|\n"
     return f"""# Third-party software
 
 {REGENERATE} Versions are those of the lock files, by which `make` installs with hashes; licences are what the
-installed packages say of themselves. The report's charts use uPlot (MIT), which lies in `fes/report/static/` with its
-licence.
+installed packages say of themselves. Of two versions the first is for older versions of Python. The report's charts use
+uPlot (MIT), which lies in `fes/report/static/` with its licence.
 
 ## In the product (`locks/run.lock`)
 
@@ -211,7 +214,7 @@ licence.
 def told_licences() -> dict[str, str]:
     """Package → licence, as docs/third_party.md has it."""
     page = (ROOT / "docs" / "third_party.md").read_text(encoding="utf-8")
-    return dict(re.findall(r"^\| ([\w.-]+) \| [^ |]+ \| ([^|]+) \|$", page, re.MULTILINE))
+    return dict(re.findall(r"^\| ([\w.-]+) \| [^|]+ \| ([^|]+) \|$", page, re.MULTILINE))
 
 
 def bill_of_materials(licences: dict[str, str]) -> str:
@@ -256,10 +259,11 @@ def bill_of_materials(licences: dict[str, str]) -> str:
                 "licenses": [{"license": {"name": licences[name]}}],
                 "purl": reference(name, version),
             }
-            for name, version in runs.items()
+            for name, versions in runs.items()
+            for version in versions
         ],
         "dependencies": [
-            {"ref": own, "dependsOn": [reference(name, runs[name]) for name in direct]},
+            {"ref": own, "dependsOn": [reference(name, version) for name in direct for version in runs[name]]},
         ],
     }
     return json.dumps(bill, indent=1, ensure_ascii=False) + "\n"
