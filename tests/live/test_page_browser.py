@@ -82,6 +82,10 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
     assert ("sensor lost" in page.text("#fault")) == (state is State.FAULT)
     assert page.run("document.getElementById('fault').hidden") == (state is not State.FAULT)
     assert page.text("#current") == ("⚡ Current ON" if current else "No current")
+    assert page.run("document.getElementById('arm').disabled") == (
+        state not in (State.SHADOW, State.STOPPED, State.FAULT)
+    )
+    assert page.run("document.getElementById('up').disabled") == (not (current or state is State.SHADOW))
     for width, height in ((390, 664), (768, 1024), (1280, 720), (1024, 600)):
         page.size(width, height)
         box = page.run(
@@ -91,17 +95,15 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
         assert 0 <= box[1] < box[3] <= height
         assert box[2] - box[0] >= 200
         assert box[3] - box[1] >= 80
-        for button in ("pause", "arm", "disarm", "up", "down"):
-            place = "(r => [r.left, r.top, r.right, r.bottom])(document.getElementById({!r}).getBoundingClientRect())"
-            reach = page.run(place.format(button))
-            assert 0 <= reach[0] < reach[2] <= width, button
-            assert 0 <= reach[1] < reach[3] <= height, button
-            assert reach[3] - reach[1] >= 48, button
+        buttons = page.run(
+            "['pause', 'arm', 'disarm', 'up', 'down'].map((id) => document.getElementById(id).getBoundingClientRect())"
+            ".map((r) => [r.left, r.top, r.right, r.bottom])"
+        )
+        for left, top, right, bottom in buttons:
+            assert 0 <= left < right <= width
+            assert 0 <= top < bottom <= height
+            assert bottom - top >= 48
         assert page.run("document.documentElement.scrollWidth") <= width
-    assert page.run("document.getElementById('arm').disabled") == (
-        state not in (State.SHADOW, State.STOPPED, State.FAULT)
-    )
-    assert page.run("document.getElementById('up').disabled") == (not (current or state is State.SHADOW))
 
 
 WORN = ("left_foot", "right_foot", "left_shank", "right_shank", "left_thigh", "right_thigh")
