@@ -5,6 +5,7 @@ the session is refused.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 MAX_CURRENT_MA: Final = 130.0  # amplitude limit of RehaStim2, RehaMove3 and P24 (vendor protocol documents)
@@ -20,6 +21,33 @@ MIN_OFF_S: Final = 0.05  # a burst that ends is over: no chatter
 MAX_RISE_MA_PER_S: Final = 2000.0  # 130 mA in 65 ms
 MAX_DATA_AGE_MS: Final = 40  # a decision from older samples is a decision about another moment
 MAX_VALIDITY_MS: Final = 60  # the device falls silent this long after the last good command
+
+
+@dataclass(frozen=True, slots=True)
+class SensorClass:
+    """What a channel may have at most, by how the samples come that it follows."""
+
+    max_data_age_ms: int
+    max_validity_ms: int
+    max_on_s: float
+    max_current_ma: float
+    max_charge_per_phase_uc: float
+    max_charge_per_minute_mc: float
+
+
+CABLE: Final = SensorClass(
+    MAX_DATA_AGE_MS, MAX_VALIDITY_MS, MAX_ON_S, MAX_CURRENT_MA, MAX_CHARGE_PER_PHASE_UC, MAX_CHARGE_PER_MINUTE_MC
+)
+RADIO: Final = SensorClass(
+    # 10 ms from sample to sample, three moments of a connection of 30 ms (so two of them lost), 20 ms of the clock; a
+    # swing lasts 400 ms: decisions are about the same one
+    max_data_age_ms=120,
+    max_validity_ms=40,  # two commands at 50 Hz: a loop that ends must not add a cable's 60 ms to that age
+    max_on_s=1.5,  # heel rise to flat foot of the slowest walk
+    max_current_ma=60.0,  # a wrong phase may last three times as long as by cable, so less than half of the current
+    max_charge_per_phase_uc=20.0,  # 60 mA in 330 µs
+    max_charge_per_minute_mc=30.0,  # 40 mA, 300 µs, 40 Hz for all of the time that a slow walk swings
+)
 
 
 def charge_per_phase_uc(current_ma: float, pulse_width_us: float) -> float:

@@ -151,7 +151,7 @@ class Stimulation(Settings):
 
     command_rate_hz: float = Field(default=50.0, ge=20, le=100)
     validity_ms: int = Field(default=limits.MAX_VALIDITY_MS, ge=20, le=limits.MAX_VALIDITY_MS)
-    max_data_age_ms: int = Field(default=limits.MAX_DATA_AGE_MS, ge=10, le=limits.MAX_DATA_AGE_MS)
+    max_data_age_ms: int = Field(default=limits.MAX_DATA_AGE_MS, ge=10, le=limits.RADIO.max_data_age_ms)
     intensity: float = Field(default=1.0, ge=0, le=1)
     strides_before_start: int = Field(default=1, ge=0, le=20)
     min_stride_length_m: float = Field(default=0.15, ge=0, le=1.0)

@@ -210,15 +210,34 @@ class Session(Settings):
         check_thresholds(self.thresholds)
         return self
 
+    @property
+    def by_radio(self) -> frozenset[str]:
+        """The sensors whose samples come by radio."""
+        return frozenset(str(device.sensor) for device in self.sensors if device.device in WIRELESS)
+
     @model_validator(mode="after")
-    def _nobody_is_stimulated_by_radio(self) -> Self:
-        for device in self.sensors if self.channels else ():
-            if device.device in WIRELESS:
+    def _radio_has_limits_of_its_own(self) -> Self:
+        """Old data are allowed only together with what makes them safe; the gate holds these limits by itself, too."""
+        own, most = self.stimulation, limits.RADIO
+        if not self.by_radio:
+            if own.max_data_age_ms > limits.MAX_DATA_AGE_MS:
                 raise ValueError(
-                    f"{device.sensor}: device {device.device!r} is wireless: how old its samples are when they come is "
-                    "not known, so it may record, but no channel may be stimulated beside it; leave out [[channels]], "
-                    "or use the sensor's cable"
+                    f"max_data_age_ms = {own.max_data_age_ms} is over {limits.MAX_DATA_AGE_MS}; up to "
+                    f"{most.max_data_age_ms} is only for sensors by radio ({', '.join(WIRELESS)})"
                 )
+            return self
+        if self.channels and own.validity_ms > most.max_validity_ms:
+            raise ValueError(f"by radio validity_ms is {most.max_validity_ms} at most, not {own.validity_ms}")
+        for channel in self.channels:
+            for name in ("max_on_s", "max_current_ma", "max_charge_per_phase_uc", "max_charge_per_minute_mc"):
+                if (value := getattr(channel.limits, name)) > getattr(most, name):
+                    raise ValueError(
+                        f"channel {channel.name!r}: by radio {name} is {getattr(most, name):g} at most, not {value:g}"
+                    )
+            if channel.tuning is not None and channel.tuning.mode != "off":
+                raise ValueError(f"channel {channel.name!r}: by radio nothing is tuned; leave out tuning")
+            if channel.start_phase == "pre_swing" and channel.onset != "predicted":
+                raise ValueError(f'channel {channel.name!r}: by radio a heel rise is seen late: onset = "predicted"')
         return self
 
     @model_validator(mode="after")
@@ -329,8 +348,10 @@ def load_exercise(path: Path) -> Session:
         if partners := sorted(set(channel.never_with) & set(numbers)):
             raise ConfigError(f"{path}: exercise.channels: {channel.name!r} is never_with {partners}; name one of them")
         ramps = {"rise_s": exercise.rise_s, "fall_s": exercise.fall_s, "start_delay_s": 0.0, "extension_s": 0.0}
-        channels.append({**channel.model_dump(), **ramps, "never_with": (), "tuning": None})
+        channels.append({**channel.model_dump(), **ramps, "never_with": (), "tuning": None, "onset": "detected"})
     changed = {"channels": channels, "sensors": (), "foot_switches": ()}
+    age_ms = min(session.stimulation.max_data_age_ms, limits.MAX_DATA_AGE_MS)  # of no data; a radio's would be refused
+    changed["stimulation"] = {**session.stimulation.model_dump(), "max_data_age_ms": age_ms}
     return validate_session({**session.model_dump(), **changed}, path).model_copy(update={"live": session.live})
 
 

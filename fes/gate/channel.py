@@ -58,7 +58,8 @@ class ChannelState:
     ``ramp_ma`` climbs no faster than the rise limit and never lies above the current let out; a request may exceed it
     by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step. It begins at the
     burst's first command: however long the channel was off, that one is a step at most.
-    The limits from ``caps`` on are, each, the absolute one or the channel's own, whichever is tighter.
+    The limits from ``caps`` on are, each, the absolute one, that of its sensor's class (``most``) or the channel's own,
+    whichever is tightest.
     ``held_back``: the burst now asked for was refused though nothing is broken; see :mod:`fes.gate.gate`.
     """
 
@@ -67,6 +68,7 @@ class ChannelState:
     partners: tuple[int, ...]
     validity_ns: int
     step_ma: float
+    most: limits.SensorClass = limits.CABLE
     on: bool = False
     on_since_ns: int = 0
     off_since_ns: int | None = None
@@ -83,11 +85,12 @@ class ChannelState:
 
     def __post_init__(self) -> None:
         own = self.channel.limits
-        self.caps = caps_of(own)
+        self.caps = caps_of(own, self.most)
         self.area_cm2 = self.channel.electrode_area_cm2
-        self.most_on_ns = round(min(limits.MAX_ON_S, own.max_on_s) * NS_PER_S)
+        self.most_on_ns = round(min(limits.MAX_ON_S, self.most.max_on_s, own.max_on_s) * NS_PER_S)
         self.least_off_ns = round(max(limits.MIN_OFF_S, own.min_off_s) * NS_PER_S)
-        self.most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, own.max_charge_per_minute_mc)
+        most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, self.most.max_charge_per_minute_mc)
+        self.most_mc = min(most_mc, own.max_charge_per_minute_mc)
         self.most_rise_ma_per_s = min(limits.MAX_RISE_MA_PER_S, own.max_rise_ma_per_s)
 
     def command_on(self, t_ns: int, current_ma: float, charge_uc_per_s: float) -> None:

@@ -1,5 +1,6 @@
 """What one request may ask for electrically, whatever came before it: a table of caps."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -64,9 +65,11 @@ def no_number(request: StimRequest) -> str:
     return ""
 
 
-def caps_of(own: ChannelLimits) -> Caps:
-    """The caps of a channel: of the absolute limit and its own the smaller."""
-    return tuple((cap, min(cap.absolute, cap.own(own))) for cap in CAPS)
+def caps_of(own: ChannelLimits, most: limits.SensorClass = limits.CABLE) -> Caps:
+    """The caps of a channel: of the absolute limit, its sensor's class and its own the smallest."""
+    by_class = {"current": most.max_current_ma, "charge per phase": most.max_charge_per_phase_uc}
+    own_caps = ((cap, min(cap.absolute, cap.own(own))) for cap in CAPS)
+    return tuple((cap, min(value, by_class.get(cap.what, math.inf))) for cap, value in own_caps)
 
 
 def wrongly_delivered(status: StimStatus, area_cm2: float, caps: Caps) -> str:

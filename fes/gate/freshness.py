@@ -1,10 +1,14 @@
 """Are the data behind a decision fresh, and a sensor's time stamps in order?
 
-Judged on the host's clock and on the sensor's own.
+Judged on the host's clock and on the sensor's own. Of a sensor by radio the stamp is when it was measured, at the
+earliest, by the host's clock (:class:`fes.control.clock_sync.BoundedClock`): its age is no matter of the least delayed
+sample, which may be late as well. Its connection fails now and then: what is too old then ends a burst, and is a fault
+once it has gone on for ``MAX_SILENCE_NS``.
 """
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -32,10 +36,12 @@ class Stamps:
     """Counts stamps that are doubled, out of order, or ahead of the time that has passed, sensor by sensor.
 
     Single slips are counted, too many within a second are a fault. A gap is no slip: what was lost on the way shows in
-    the data's age. ``slips`` counts all since the start.
+    the data's age. ``slips`` counts all since the start. ``by_radio``: samples come in bunches, so that stamps go ahead
+    of the time waited; none may lie ahead of its own arrival.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, by_radio: frozenset[str] = frozenset()) -> None:
+        self._by_radio = by_radio
         self.slips: dict[str, int] = {}
         self._sensors: dict[str, _SensorStamps] = {}
 
@@ -50,7 +56,10 @@ class Stamps:
         step_ns, waited_ns = sample.t_sensor_ns - known.t_sensor_ns, t_ns - known.t_ns
         known.t_ns, known.t_sensor_ns = t_ns, sample.t_sensor_ns
         samples.append(t_ns)
-        ahead_ns = step_ns - waited_ns
+        if sample.sensor in self._by_radio:
+            ahead_ns, waited_ns = sample.t_sensor_ns - t_ns, 0
+        else:
+            ahead_ns = step_ns - waited_ns
         if step_ns <= 0 or (ahead_ns > LEAST_JUMP_NS and ahead_ns > waited_ns // 2):
             self.slips[sample.sensor] += 1
             slips.append(t_ns)
@@ -90,17 +99,22 @@ class Freshness:
 
     Args:
         max_age_ns: how old the newest sample may be, on either clock.
+        by_radio: sensors whose stamps are times of the host's clock, each with an age of its own.
     """
 
-    def __init__(self, max_age_ns: int) -> None:
+    def __init__(self, max_age_ns: int, by_radio: Mapping[str, int] | None = None) -> None:
         self._max_age_ns = max_age_ns
+        self._by_radio = by_radio or {}
         self._sensors: dict[str, _Sensor] = {}
 
     def note(self, sample: ImuSample) -> str:
         """Take in a sample; returns what is wrong with it, "" when nothing is."""
         t_ns, t_sensor_ns, values = sample.t_ns, sample.t_sensor_ns, sample.acc_mps2 + sample.gyr_radps
         finite = math.isfinite(sum(values)) or all(map(math.isfinite, values))  # finite ones may have a sum that is not
-        offset_ns = t_ns - t_sensor_ns
+        max_age_ns = self._by_radio.get(sample.sensor)
+        # of a radio's stamps it is known
+        offset_ns = t_ns - t_sensor_ns if max_age_ns is None else min(t_ns - t_sensor_ns, 0)
+        max_age_ns = self._max_age_ns if max_age_ns is None else max_age_ns
         fault = "" if finite else f"non-finite sample from {sample.sensor}"
         known = self._sensors.get(sample.sensor)
         if known is None:
@@ -109,7 +123,7 @@ class Freshness:
         back_ns = known.t_sensor_ns - t_sensor_ns
         # sent later than it could have been, were it the least delayed of all; in the first second that is still learnt
         ahead_ns = known.offset_ns - offset_ns if t_ns - known.begun_ns > NS_PER_S else 0
-        if back_ns > self._max_age_ns or ahead_ns > self._max_age_ns:
+        if back_ns > max_age_ns or ahead_ns > max_age_ns:
             known.slips += 1
             if known.slips == SLIPS_BELIEVED:
                 # the sensor restarted or its clock was set: its mapping starts anew
@@ -147,12 +161,23 @@ class Freshness:
         if arrival_ns < 0:
             return f"{sensor} data are dated {-arrival_ns / 1e6:.3g} ms ahead"
         age_ns = t_ns - known.t_sensor_ns - known.offset_ns
-        if arrival_ns <= self._max_age_ns and age_ns <= self._max_age_ns:
+        max_age_ns = self._by_radio.get(sensor, self._max_age_ns)
+        if arrival_ns <= max_age_ns and age_ns <= max_age_ns:
             return self._frozen(sensor, known)
-        limit = f"limit {self._max_age_ns / 1e6:.0f} ms"
-        if arrival_ns > self._max_age_ns:
+        limit = f"limit {max_age_ns / 1e6:.0f} ms"
+        if arrival_ns > max_age_ns:
             return f"{sensor} data {math.ceil(arrival_ns / 1e6)} ms old, {limit}"
+        if sensor in self._by_radio:
+            return f"{sensor} data {math.ceil(age_ns / 1e6)} ms old: they come late, its radio is behind; {limit}"
         return f"{sensor} data {math.ceil(age_ns / 1e6)} ms old by the sensor's own clock, {limit}"
+
+    def lags(self, sensor: str, t_ns: int) -> str:
+        """Says so when a sensor by radio is behind, but not for so long that it is a fault."""
+        known = self._sensors.get(sensor)
+        if sensor not in self._by_radio or known is None or not known.finite or known.t_ns > t_ns:
+            return ""
+        age_ns = t_ns - known.t_sensor_ns - known.offset_ns
+        return self.reason_not_ready(sensor, t_ns) if self._by_radio[sensor] < age_ns <= MAX_SILENCE_NS else ""
 
     @staticmethod
     def _frozen(sensor: str, known: _Sensor) -> str:

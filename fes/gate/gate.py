@@ -6,9 +6,9 @@ arms again. Every limit is the smaller of the absolute one (:mod:`fes.limits`) a
 and :meth:`SafetyGate.judge` are told, in times that must never run backward.
 
 Some refusals do not latch, because nothing is broken: not armed, too soon after the last burst, an antagonist still
-on, a foot that rests (:mod:`fes.gate.movement`). A burst refused in this way, or one whose command ran out before the
-next came, is *held back*: it may still start late with one step of the device, and where it asks for more, it is
-refused in silence until the plan has asked for off.
+on, a foot that rests (:mod:`fes.gate.movement`), a radio that is behind for a moment. A burst refused in this way, or
+one whose command ran out before the next came, is *held back*: it may still start late with one step of the device, and
+where it asks for more, it is refused in silence until the plan has asked for off.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,8 @@ class SafetyGate:
 
     Args:
         channels: the session's channels; a request for any other is refused.
-        max_data_age_ms: how old the newest sample of a channel's foot may be; at most ``limits.MAX_DATA_AGE_MS``.
+        max_data_age_ms: how old the newest sample of a channel's foot may be; at most ``limits.MAX_DATA_AGE_MS``, by
+            radio ``limits.RADIO.max_data_age_ms``.
         validity_ms: how long a command holds on the device; at most ``limits.MAX_VALIDITY_MS``. A channel whose
             last command is older counts as off, for the device has fallen silent.
         devices: the sensors' settings; without a sensor's ranges its saturation cannot be told.
@@ -61,6 +62,7 @@ class SafetyGate:
         by_sensors: whether a sensor tells when to stimulate; without one, in exercise, no data are asked for.
         exercise_s: how long a burst of an exercise lasts until it falls.
         current_step_ma: the stimulator's step of current, at most ``COARSEST_STEP_MA``; a rise may be rounded to it.
+        by_radio: the sensors whose samples come by radio; their channels have the limits of ``limits.RADIO``.
 
     Attributes:
         flagged: by sensor, what was wrong with samples that no channel's timing rests on.
@@ -82,11 +84,16 @@ class SafetyGate:
         by_sensors: bool = True,
         exercise_s: float = 0.0,
         current_step_ma: float = RISE_STEP_MA,
+        by_radio: frozenset[str] = frozenset(),
     ) -> None:
-        self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
-        self._freshness = Freshness(min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000)
+        self._by_radio = by_radio
+        self._validity_ms = min((limits.RADIO if by_radio else limits.CABLE).max_validity_ms, validity_ms)
+        radio_age_ns = min(limits.RADIO.max_data_age_ms, max_data_age_ms) * 1_000_000
+        self._freshness = Freshness(
+            min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000, dict.fromkeys(by_radio, radio_age_ns)
+        )
         self._plausible = Plausible(devices, up or {})
-        self.stamps = Stamps()
+        self.stamps = Stamps(by_radio)
         self._channels: dict[int, ChannelState] = {}
         step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
@@ -94,7 +101,12 @@ class SafetyGate:
             named_by = {other.number for other in channels if channel.number in other.never_with}
             partners = tuple(sorted(named_by | set(channel.never_with)))
             self._channels[channel.number] = ChannelState(
-                channel, sensor, partners, self._validity_ms * 1_000_000, step_ma
+                channel,
+                sensor,
+                partners,
+                self._validity_ms * 1_000_000,
+                step_ma,
+                limits.RADIO if sensor in by_radio else limits.CABLE,
             )
         self._relied_on = frozenset(filter(None, (state.sensor for state in self._channels.values())))
         self._movements = {sensor: Movement() for sensor in self._relied_on}
@@ -138,7 +150,9 @@ class SafetyGate:
             silence = self._freshness.silence(event) if self._armed else ""
             # all three take it in, whatever one of them says; the gravest is named
             order, fault = self.stamps.fault(event), self._freshness.note(event)
-            implausible = self._plausible.fault(event)
+            # a movement is judged by when it was, not by when a radio let it through
+            felt = event._replace(t_ns=event.t_sensor_ns) if event.sensor in self._by_radio else event
+            implausible = self._plausible.fault(felt)
             if movement := self._movements.get(event.sensor):
                 movement.observe(event)
             if fault := fault or implausible or order or silence:
@@ -244,6 +258,8 @@ class SafetyGate:
             return self._latched
         if not self._armed:
             return f"not armed: {self.arming_refused}" if self.arming_refused else "not armed"
+        if lags := self._freshness.lags(state.sensor, t_ns):
+            return f"{state.channel.name}: {lags}"
         if fault := self._fault(t_ns, state, request):
             self.latch(t_ns, fault)
             return fault
@@ -303,4 +319,5 @@ def gate_of(
         by_sensors=session.exercise is None,
         exercise_s=session.exercise.rise_s + session.exercise.on_s if session.exercise else 0.0,
         current_step_ma=current_step_ma,
+        by_radio=session.by_radio,
     )

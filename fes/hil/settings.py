@@ -12,8 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from fes import limits
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, load, save
-from fes.config import Bus, StimulatorDevice
+from fes.config import WIRELESS, Bus, StimulatorDevice
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
 from fes.recording import write_recording
@@ -38,7 +39,7 @@ subject = "simulated"
 
 [stimulation]
 intensity = 1.0
-
+{radio}
 [[channels]]
 name = "Tibialis anterior, {side}"
 number = {channel}
@@ -49,7 +50,7 @@ current_ma = {current_ma}
 pulse_width_us = 300.0
 frequency_hz = 40.0
 start_phase = "pre_swing"
-stop_phase = "loading_response"
+{onset}stop_phase = "loading_response"
 rise_s = 0.15
 extension_s = 0.06
 fall_s = 0.10
@@ -59,12 +60,16 @@ max_current_ma = 50.0
 max_pulse_width_us = 400.0
 max_frequency_hz = 50.0
 max_charge_per_phase_uc = 15.0
-max_charge_per_minute_mc = 40.0
+max_charge_per_minute_mc = {minute_mc}
 max_current_density_ma_per_cm2 = 0.5
 max_rise_ma_per_s = 400.0
-max_on_s = 3.0
+max_on_s = {max_on_s}
 min_off_s = 0.1
-
+{tuning}
+[treadmill]
+belt_speed_mps = {speed_mps}
+"""
+_TUNING: Final = """
 [channels.tuning]
 mode = "{tuning}"
 method = "run_to_run"
@@ -77,9 +82,6 @@ current_ma = {{ low = 10.0, high = 50.0 }}
 pulse_width_us = {{ low = 150.0, high = 300.0 }}
 start_delay_s = {{ low = 0.0, high = 0.2 }}
 extension_s = {{ low = -0.1, high = 0.1 }}
-
-[treadmill]
-belt_speed_mps = {speed_mps}
 """
 
 
@@ -232,20 +234,26 @@ def patient_session_text(
     bus: Bus | None = None,
     sensors: str = "xbus",
 ) -> str:
-    """One channel on the affected foot's dorsiflexors, tuned (off, suggest or act) run to run.
+    """One channel on the affected foot's dorsiflexors, tuned (off, suggest or act) run to run; by radio never.
 
     ``ports``: of the ``sensors``, whose kind that is, by name; without them and a stimulator: for a run in one process.
     """
+    by_radio = sensors in WIRELESS
+    most = limits.RADIO if by_radio else limits.CABLE
     text = _SESSION.format(
         side=settings.side, channel=settings.channel, foot=settings.affected_foot, current_ma=float(current_ma),
-        tuning=tuning, speed_mps=settings.speed_mps,
+        speed_mps=settings.speed_mps,
+        tuning="" if by_radio else _TUNING.format(tuning=tuning),
+        radio=f"validity_ms = {most.max_validity_ms}\nmax_data_age_ms = {most.max_data_age_ms}\n" if by_radio else "",
+        onset='onset = "predicted"\n' if by_radio else "",
+        minute_mc=min(40.0, most.max_charge_per_minute_mc), max_on_s=min(3.0, most.max_on_s),
     )  # fmt: skip
     for foot, geometry in VirtualPatient(settings).geometry.items():
         if foot in settings.sensors:
             text += "\n" + toml_text({"geometry": {foot: geometry.model_dump()}})
     for number, (sensor, port) in enumerate((ports or {}).items()):
         text += _sensor_text(sensors, sensor, port, settings.rate_hz, settings.imu.acc_range_mps2)
-        if sensors == "capture2go" and len(ports or {}) > 1:  # the first's clock is all others'
+        if sensors in ("capture2go", *WIRELESS) and len(ports or {}) > 1:  # the first's clock is all others'
             text += f'options = {{ sync = "{"receiver" if number else "sender"}", sync_id = {SYNC_ID} }}\n'
     return text + _stimulator_text(stimulator, bus)
 

@@ -148,7 +148,8 @@ class Operator:
         self._unchecked = unchecked_side(self.phase_sensor_of) if self.session.exercise is None else ""
         self._side_by = "--side" if self.side and self.side == self._unchecked else ""
         self._side_asked_ns: int | None = None
-        self.proof = Proof(self.gate.doubted, self.note)
+        late_ns = dict.fromkeys(self.session.by_radio, self.session.stimulation.max_data_age_ms * 1_000_000)
+        self.proof = Proof(self.gate.doubted, self.note, late_ns)
         self.machine = SessionMachine()
         self.message = "warming up"
         self.belt_speed_mps = self.session.treadmill.belt_speed_mps if self.session.treadmill else None

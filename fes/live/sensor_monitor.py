@@ -4,8 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from fes.config import ImuDevice
+from fes.config import WIRELESS, ImuDevice
 from fes.estimation.sensor_choice import Calibration
+from fes.limits import RADIO
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample
 
 SPAN_NS: Final = NS_PER_S
@@ -19,11 +20,17 @@ HEIGHT_BY_ZERO_M: Final = 0.11  # by m/s²: a swing's height against the acceler
 TILT_TOLERANCE_RAD: Final = np.deg2rad(25.0)  # a foot on a slope or with raised toes is no remounted sensor
 
 
+def alive_ns(device: ImuDevice) -> int:
+    """How long this sensor may be silent and still count as alive."""
+    return RADIO.max_data_age_ms * 1_000_000 if device.device in WIRELESS else ALIVE_NS
+
+
 class SensorMonitor:
     """A ring of one sensor's newest samples; only with a calibration can its direction be judged."""
 
     def __init__(self, device: ImuDevice, calibration: Calibration | None) -> None:
         self.device = device
+        self.alive_ns = alive_ns(device)
         self._calibration = calibration
         self._size = max(int(1.5 * device.rate_hz * SPAN_NS / NS_PER_S), 8)
         self._t_ns = np.zeros(self._size, np.int64)
@@ -59,7 +66,7 @@ class SensorMonitor:
         name, nominal_hz = self.device.sensor, self.device.rate_hz
         if self.newest_ns is None:
             return f"{name}: nothing has come; is it switched on?"
-        if t_ns - self.newest_ns > ALIVE_NS:
+        if t_ns - self.newest_ns > self.alive_ns:
             return f"{name}: silent for {self.age_ms(t_ns):.0f} ms"
         rate_hz = self.rate_hz(t_ns)
         if abs(rate_hz - nominal_hz) > RATE_TOLERANCE * nominal_hz:

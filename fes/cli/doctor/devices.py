@@ -22,7 +22,7 @@ from fes.cli.common.options import cannot_be_seen
 from fes.cli.doctor.command import Finding, failure, ok, warning
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, ImuDevice, Session, Switch
-from fes.live.sensor_monitor import ALIVE_NS, RATE_TOLERANCE
+from fes.live.sensor_monitor import RATE_TOLERANCE, alive_ns
 from fes.signals import NS_PER_S
 
 SETTLE_S: Final = 0.3  # what had queued up before it was opened, and a clock that is only just known
@@ -165,9 +165,10 @@ def judged(sensor: str, heard: Heard, measure_s: float) -> Finding:
     if host_s > 0.5 and abs(own_s / host_s - 1.0) > CLOCK_TOLERANCE:
         said += f"; its clock runs {own_s / host_s:.3f} times as fast as this computer's"
         return failure(sensor, said, "restart the sensor")
-    if heard.missing or quiet_ns > ALIVE_NS:
+    most_ns = alive_ns(heard.device)
+    if heard.missing or quiet_ns > most_ns:
         remedy = "bring it nearer, use another channel or cable, close other programs"
-        return warning(sensor, f"{said}; stimulation stops at a silence of {ALIVE_NS / 1e6:.0f} ms", remedy)
+        return warning(sensor, f"{said}; stimulation stops at a silence of {most_ns / 1e6:.0f} ms", remedy)
     return ok(sensor, said)
 
 
