@@ -36,6 +36,7 @@ class Capture2GoPort(OneSensorPort):
         ImuLost: no such line, or no Capture2Go answers on it.
     """
 
+    status_every_s = STATUS_EVERY_S
     mode_field = "fullFixedMode"
     kinds: tuple[str, ...] = ("FULL_FIXED", "FULL_6D_FIXED")  # of packages with samples
 
@@ -109,7 +110,7 @@ class Capture2GoPort(OneSensorPort):
             self._ask(Header.CMD_SET_ABSOLUTE_TIME, {"newTimestamp": self._clock_ns()}, Header.DATA_ABSOLUTE_TIME)
         mode: dict[str, c2g.Value] = {
             self.mode_field: c2g.SAMPLING_MODES[self._rate_hz],
-            "statusMode": STATUS_EVERY_S,
+            "statusMode": self.status_every_s,
             "syncMode": int(self._sync),
             "syncId": self._sync_id,
             "disableMagData": True,

@@ -16,7 +16,7 @@ OPTIONS = {
     "dbc_can": ("dbc", *AXES, "time", "counter", "acc_unit", "gyr_unit", "time_unit", "id_offset"),
     "ximu3": ("baudrate", "library"),
     "capture2go": ("baudrate", "sync", "sync_id"),
-    "capture2go_ble": ("sync", "sync_id", "find_s"),
+    "capture2go_ble": ("sync", "sync_id", "find_s", "packed"),
     "lsl": (*AXES, "acc_unit", "gyr_unit", "timeout_s"),
 }  # that each kind of device has
 
@@ -91,9 +91,9 @@ def _open_alone(device: ImuDevice) -> ImuPort:
 
         return Capture2GoImu(device)
     if device.device == "capture2go_ble":
-        from drivers.imu.capture2go_ble import Capture2GoBle
+        from drivers.imu.capture2go_ble import Capture2GoBle, Capture2GoBridge
 
-        return Capture2GoBle(device)
+        return Capture2GoBridge(device) if "/" in device.port else Capture2GoBle(device)
     from drivers.imu.lsl_port import LslImu
 
     return LslImu(device)

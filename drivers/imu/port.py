@@ -70,6 +70,10 @@ class ImuPort(ABC):
             ImuLost: the line broke; :meth:`reopen` may mend it.
         """
 
+    def told_times(self) -> Sequence[tuple[str, int, int]]:
+        """Of sensors by radio, since the last call: when each was asked for its time (host, ns), what it said (ns)."""
+        return ()
+
     def reopen(self) -> None:
         """Let go of the line and open it again; ImuLost: it is still gone."""
         self.close()

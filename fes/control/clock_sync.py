@@ -4,6 +4,10 @@ A sample arrives late by what the line, the driver and a busy host add, never ea
 least are right, and the clocks' relation is the line that lies under all of them and closest to them: the edge of the
 lower convex hull under the middle of the window (Moon, Skelly & Towsley 1999, "Estimation and removal of clock skew
 from network delay measurements"). Causal, no clock of its own, the same numbers live and in replay.
+
+Where all samples may be late, as by radio, the least delayed one proves nothing. There the device is asked for its
+time: what it answers was its time after the question, so no sample was measured before ``stamp + (asked - answer)``.
+:class:`BoundedClock` maps to that earliest moment, and knows how much later it can have been.
 """
 
 from collections import deque
@@ -125,6 +129,64 @@ class SensorClock:
         settling = time_s * NS_PER_S < SETTLE_NS or wrong_ns < -AHEAD_NS
         most_ns = (SETTLE_SLEW if settling else MAX_SLEW) * step_ns
         self._out_ns += min(max(wrong_ns, -most_ns), most_ns)
+
+
+class BoundedClock:
+    """Maps the stamps of a device that has been asked for its time: to when, at the earliest, each was measured.
+
+    A bound grows old by the most that the clocks may drift apart; the best of all is followed by at most twice that
+    rate, in the first 2 s faster. A stamp that lies beyond its own arrival, and one that goes back by more than 1 s, is
+    of a clock that was set, restarted or drifts by more: counted in :attr:`resets`, and all begins anew.
+    """
+
+    def __init__(self) -> None:
+        self.resets = 0
+        self._known: tuple[int, int] | None = None  # the best bound of host - device, and the device's time of it
+        self._out_ns: float | None = None
+        self._began_ns = self._newest_ns = self._least_ns = 0
+
+    @property
+    def uncertainty_ns(self) -> int:
+        """How much later than mapped a sample can have been measured: the least delay that was seen; 0 at first."""
+        return self._least_ns
+
+    def asked(self, t_host_ns: int, t_device_ns: int) -> None:
+        """The device's clock showed this after, and not before, this time of the host's."""
+        offset_ns = t_host_ns - t_device_ns
+        if self._known is None or offset_ns > self._bound_ns(t_device_ns):
+            self._known = offset_ns, t_device_ns
+
+    def map(self, t_host_ns: int, t_device_ns: int) -> int | None:
+        """When it was measured at the earliest, by the host's clock, ns; None as long as nothing is known of that.
+
+        Args:
+            t_host_ns: when the sample arrived, never decreasing.
+            t_device_ns: the device's stamp.
+        """
+        if self._known is None:
+            return None
+        bound_ns = self._bound_ns(t_device_ns)
+        if self._out_ns is None:
+            self._out_ns, self._began_ns, self._newest_ns = bound_ns, t_device_ns, t_device_ns
+            self._least_ns = round(t_host_ns - t_device_ns - bound_ns)
+        step_ns = t_device_ns - self._newest_ns
+        if t_device_ns + bound_ns > t_host_ns + AHEAD_NS or step_ns < -JUMP_NS:
+            self.resets += 1
+            self._known = self._out_ns = None
+            return None
+        if step_ns > 0:
+            settling = t_device_ns - self._began_ns < SETTLE_NS
+            most_ns = (SETTLE_SLEW if settling else 2.0 * MAX_SLEW) * step_ns
+            moved_ns = min(max(bound_ns - self._out_ns, -most_ns), most_ns)
+            self._out_ns += moved_ns
+            delay_ns = round(t_host_ns - t_device_ns - self._out_ns)
+            self._least_ns = min(self._least_ns + round(MAX_SLEW * step_ns - moved_ns), delay_ns)
+            self._newest_ns = t_device_ns
+        return t_device_ns + round(self._out_ns)
+
+    def _bound_ns(self, t_device_ns: int) -> float:
+        offset_ns, at_ns = self._known or (0, 0)
+        return offset_ns - MAX_SLEW * abs(t_device_ns - at_ns)
 
 
 def line_under(points: list[_Point]) -> tuple[float, float]:

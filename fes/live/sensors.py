@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, Generic, Protocol, TypeVar
 
-from fes.control.clock_sync import SensorClock
+from fes.control.clock_sync import BoundedClock, SensorClock
 from fes.signals import Event, ImuSample, RawSample, StimAlive, StimCommand, StimStatus, SystemFault, WireFrame
 
 
@@ -31,6 +31,9 @@ class Imu(Protocol):
 
     def read(self, t_ns: int) -> Sequence[RawSample]:
         """All that has come; never waits."""
+
+    def told_times(self) -> Sequence[tuple[str, int, int]]:
+        """Of sensors by radio, since the last call: name, when it was asked for its time, what it said; ns."""
 
     def reopen(self) -> None:
         """Let go of the line and open it again; may wait, so it is called in a thread of its own."""
@@ -112,18 +115,25 @@ class SensorStream:
     """One line: its port while it is open, attempts at opening it again while it is not.
 
     ``clock`` makes a fresh clock: a device that was away may have restarted its own. ``lost`` is the exception that
-    says that the line is gone; the loss of ``needed`` sensors must stop the stimulation.
+    says that the line is gone; the loss of ``needed`` sensors must stop the stimulation. ``by_radio``: those of which a
+    sample is given on only once it is known when it was measured at the earliest.
     """
 
     def __init__(
-        self, port: Imu, clock: Callable[[], SensorClock], lost: type[Exception], needed: frozenset[str]
+        self,
+        port: Imu,
+        clock: Callable[[], SensorClock],
+        lost: type[Exception],
+        needed: frozenset[str],
+        by_radio: frozenset[str] = frozenset(),
     ) -> None:
         self.sensors = tuple(port.sensors)
         self.serials = dict(port.serials)
         self.port: Imu | None = port
         self._held, self._clock, self._lost = port, clock, lost
         self.needed = needed & set(self.sensors)
-        self._clocks = {sensor: clock() for sensor in self.sensors}
+        self._by_radio = by_radio & set(self.sensors)
+        self._clocks = self._fresh_clocks()
         self._newest_ns: int | None = None
         self._newest_of: dict[str, int] = {}  # by sensor, of those heard since the line was opened
         self._attempts: Reopening[Imu] | None = None
@@ -168,6 +178,10 @@ class SensorStream:
             yield from self._lose(t_ns, str(error))
             return
         took_ns = 0 if clock_ns is None or not raw else max(clock_ns() - t_ns, 0)
+        for sensor, asked_ns, said_ns in self.port.told_times() if self._by_radio else ():
+            asked = self._clocks[sensor]
+            if isinstance(asked, BoundedClock):
+                asked.asked(asked_ns, said_ns)
         for sample in raw:
             self._newest_ns = self._newest_of[sample.sensor] = t_ns
             clock = self._clocks[sample.sensor]
@@ -176,8 +190,12 @@ class SensorStream:
             if clock.resets != resets and sample.sensor in self.needed:
                 # set, restarted, or all of it late for seconds: the new mapping cannot tell which, and would call late
                 # samples fresh; on a line that is opened anew nothing is queued
-                yield from self._lose(t_ns, f"the clock of {sample.sensor} jumped, or all that it sends comes late")
+                bounded = sample.sensor in self._by_radio
+                or_else = "runs off by over 200 ppm" if bounded else "all that it sends comes late"
+                yield from self._lose(t_ns, f"the clock of {sample.sensor} jumped, or {or_else}")
                 return
+            if t_sensor_ns is None:
+                continue
             yield ImuSample(t_ns + took_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
 
     def supervise(self, t_ns: int) -> Iterator[Event]:
@@ -193,7 +211,10 @@ class SensorStream:
         elif self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
             self.port, self._attempts, self._newest_ns, self.why_lost = port, None, None, ""
             self._newest_of.clear()
-            self._clocks = {sensor: self._clock() for sensor in self.sensors}
+            self._clocks = self._fresh_clocks()
+
+    def _fresh_clocks(self) -> dict[str, SensorClock | BoundedClock]:
+        return {sensor: BoundedClock() if sensor in self._by_radio else self._clock() for sensor in self.sensors}
 
     def close(self) -> None:
         """Release the line."""

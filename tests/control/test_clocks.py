@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from fes.control.clock_sync import SensorClock, line_under
+from fes.control.clock_sync import BoundedClock, SensorClock, line_under
 from fes.signals import NS_PER_S
 
 Delay = Callable[[random.Random, int], float]
@@ -143,3 +143,52 @@ def test_one_or_two_stamps_far_ahead_move_nothing() -> None:
         if not wild:
             assert mapped_ns == expected_ns
     assert clock.resets == 0
+
+
+def by_radio(
+    clock: BoundedClock, seconds: int, drift_ppm: float, late_ms: float, answered_s: float = 1.0
+) -> list[float]:
+    """A device that is asked for its time by a way of 0 to 30 ms; mapped − true (ms) of every sample."""
+    rng, found, asked_s = random.Random(2), list[float](), 0.0
+    for k in range(seconds * 100):
+        true_ns = k * NS_PER_S // 100
+        device_ns = round(true_ns * (1 + drift_ppm * 1e-6)) + 77 * NS_PER_S
+        host_ns = true_ns + round((late_ms + 30.0 * rng.random()) * MS)
+        if k / 100 >= asked_s:
+            asked_s += 0.1 if k < 200 else answered_s
+            way_ns = round(30.0 * rng.random() * MS)
+            clock.asked(true_ns, device_ns + round(way_ns * (1 + drift_ppm * 1e-6)))
+        mapped_ns = clock.map(host_ns, device_ns)
+        if mapped_ns is not None and k > 300:
+            found.append((mapped_ns - true_ns) / MS)
+    return found
+
+
+@pytest.mark.requirement("SR-30")
+@pytest.mark.parametrize("drift_ppm", [0.0, 80.0, -80.0])
+@pytest.mark.parametrize("late_ms", [0.0, 90.0, 2000.0])
+def test_a_delay_that_all_samples_have_is_seen_by_the_devices_answers(drift_ppm: float, late_ms: float) -> None:
+    clock = BoundedClock()
+    off_ms = by_radio(clock, 120, drift_ppm, late_ms)
+    assert max(off_ms) <= 0.001  # never measured later than in truth
+    assert min(off_ms) >= -20.0
+    assert clock.resets == 0
+    assert late_ms <= clock.uncertainty_ns / MS <= late_ms + 25.0
+
+
+@pytest.mark.requirement("SR-30")
+def test_without_an_answer_nothing_is_known_and_old_ones_count_for_less() -> None:
+    clock = BoundedClock()
+    assert clock.map(NS_PER_S, 5 * NS_PER_S) is None
+    off_ms = by_radio(clock, 60, 0.0, 0.0, answered_s=1e9)
+    assert off_ms[-1] == pytest.approx(off_ms[0] - 11.4, abs=1.0)  # 0.2 ms a second
+
+
+@pytest.mark.parametrize("jump_s", [0.05, 3.0, -3.0])
+def test_a_clock_that_was_set_begins_anew(jump_s: float) -> None:
+    clock = BoundedClock()
+    by_radio(clock, 5, 0.0, 0.0)
+    stamp_ns = 82 * NS_PER_S + round(jump_s * NS_PER_S)
+    assert clock.map(5 * NS_PER_S + 20 * MS, stamp_ns) is None
+    assert clock.resets == 1
+    assert clock.map(5 * NS_PER_S + 30 * MS, stamp_ns + 10 * MS) is None

@@ -7,6 +7,7 @@ import math
 import os
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -21,7 +22,8 @@ from drivers.simulated.imu.device import walking_signal
 from drivers.simulated.spawn import ImuHandle, free_bus, spawn_imu, why_silent
 from drivers.stimulator.bus import open_bus
 from fes.control.clock_sync import SensorClock
-from fes.signals import G_MPS2, NS_PER_S
+from fes.live.sensors import SensorStream
+from fes.signals import G_MPS2, NS_PER_S, Event, ImuSample, SystemFault
 
 CLOCK_NS = 500_000  # two clocks 80 ppm apart for 3 s, and a stamp's steps of 0.1 ms
 SETTLE_NS = 2 * NS_PER_S
@@ -265,6 +267,36 @@ def test_a_wireless_sensor_over_udp() -> None:
         port.reopen()
         assert collect([port], 0.1) == []
         port.close()
+
+
+def test_a_sensor_by_radio_whose_notifications_come_over_a_line() -> None:
+    with spawn_imu("capture2go_ble", rate_hz=100, offset_s=50.0, drift_ppm=40, serial="1234ab") as handle:
+        (port,) = open_imus([settings("capture2go_ble", handle.port)])
+        assert port.serials == {"right_foot": "1234ab"}
+        stream = SensorStream(port, SensorClock, ImuLost, frozenset({"right_foot"}), frozenset({"right_foot"}))
+        counts, found = port.counts["right_foot"], list[Event]()
+
+        def until(enough: Callable[[], bool]) -> None:
+            end_s = time.monotonic() + 30.0
+            found.clear()
+            while not enough():
+                assert time.monotonic() < end_s, "it did not come"
+                found.extend(stream.read(time.monotonic_ns()))
+                found.extend(stream.supervise(time.monotonic_ns()))
+                time.sleep(0.003)
+
+        until(lambda: len(found) >= 300)
+        assert all(isinstance(each, ImuSample) and each.t_sensor_ns <= each.t_ns for each in found)
+        assert (counts.missing, counts.bad_frames) == (0, 0)
+        handle.inject("away", 0.5)  # first in, first out: they come late, and their stamps say so
+        until(lambda: any(isinstance(each, ImuSample) and each.t_ns - each.t_sensor_ns > 400_000_000 for each in found))
+        assert counts.missing == 0
+        handle.inject("lose", 2)
+        until(lambda: counts.missing > 0)
+        handle.inject("reboot")  # out of power and on again: it waits to be asked, and the line is opened anew
+        until(lambda: any(isinstance(each, SystemFault) for each in found))
+        until(lambda: any(isinstance(each, ImuSample) for each in found))
+        stream.close()
 
 
 def test_a_flooded_line_lets_go_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:

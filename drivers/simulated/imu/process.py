@@ -19,7 +19,7 @@ import can
 
 from drivers.simulated.imu import wire as wires
 from drivers.simulated.imu.device import SimulatedImu, recorded_signal, walking_signal
-from drivers.simulated.imu.serial_wires import SERIAL_WIRES, serial_wire
+from drivers.simulated.imu.serial_wires import SERIAL_WIRES, on_its_line, serial_wire
 from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, TcpEnd, UdpEnd
 from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
 from drivers.stimulator.bus import open_bus
@@ -107,7 +107,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         def jumped(t_ns: int, played: int) -> None:
             print(json.dumps({"t_ns": t_ns, "played": played}), file=record)
 
-        device = SimulatedImu(wire, feels, now_ns, offset_s=options.offset, drift_ppm=options.drift, jumped=jumped)
+        imu = SimulatedImu(wire, feels, now_ns, offset_s=options.offset, drift_ppm=options.drift, jumped=jumped)
+        device = on_its_line(options.device, imu, now_ns)
         publish_ready(port=end.port, real_time=real_time, t0_ns=now_ns)
         DeviceLoop(device, end, stop.fileno()).run()
     return 0

@@ -1,5 +1,8 @@
 """The radio between a simulated Capture2Go and its host: time and commands in, notifications out; no I/O, no clock.
 
+Faults, beside the sensor's and the line's: ``interval`` (s between moments), ``fails`` (share of them), ``away`` (s
+from now), ``lose`` (notifications).
+
 A connection has a moment every so often (7.5 to 50 ms), at which what waits in the sensor's buffer is sent, four
 notifications of 244 bytes at most. A moment that fails costs nothing but time: the link sends again, first in, first
 out. What the host's own system loses is gone: whole notifications, with the packages whose bytes they held.
@@ -11,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from drivers.simulated.imu.device import SimulatedImu
+from drivers.simulated.lines import Device
 from fes.signals import NS_PER_S
 
 LONGEST: Final = 244  # bytes of a notification, the first of which counts its real-time packages
@@ -19,11 +23,11 @@ NO_REAL_TIME: Final = b"\xff"
 
 
 @dataclass
-class Radio:
+class Radio(Device):
     """One connection; its moments are ``interval_s`` apart, and a share ``fails`` of them fails.
 
     ``away_until_ns``: until then all fail (a burst, a body in between). ``lose``: so many of the next notifications the
-    host's system loses.
+    host's system loses. ``framed``: each after its length in two bytes, for a line.
     """
 
     imu: SimulatedImu
@@ -33,14 +37,37 @@ class Radio:
     seed: int = 1
     away_until_ns: int = 0
     lose: int = 0
+    framed: bool = False
     _buffer: bytearray = field(default_factory=bytearray)
 
     def __post_init__(self) -> None:
         self._chance = random.Random(self.seed)
 
-    def receive(self, t_ns: int, data: bytes) -> None:
+    def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """A command; its answer waits its turn."""
         self._buffer += b"".join(self.imu.receive(t_ns, data))
+        return []
+
+    def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
+        """One of its own, or the sensor's, whose loss of power empties the buffer."""
+        match name:
+            case "interval":
+                self.interval_s = value
+            case "fails":
+                self.fails = value
+            case "away":
+                self.away_until_ns = t_ns + round(value * NS_PER_S)
+            case "lose":
+                self.lose = round(value)
+            case _:
+                if name == "reboot":
+                    self._buffer.clear()
+                self._buffer += b"".join(self.imu.set_fault(t_ns, name, value))
+        return []
+
+    def next_deadline_ns(self) -> int:
+        """The next moment, or sample."""
+        return min(self.next_moment_ns(), self.imu.next_deadline_ns())
 
     def next_moment_ns(self) -> int:
         """When something may be sent next."""
@@ -62,5 +89,6 @@ class Radio:
                 if self.lose:
                     self.lose -= 1
                 else:
-                    out.append(sent)
+                    out.append(len(sent).to_bytes(2, "little") + sent if self.framed else sent)
+        self._buffer += b"".join(self.imu.advance(t_ns))
         return out

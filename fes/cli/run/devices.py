@@ -83,7 +83,7 @@ def open_sensors(session: Session, stack: ExitStack) -> list[SensorStream]:
     needed = frozenset(phase_sensor_of[channel.foot] for channel in session.channels if channel.foot in phase_sensor_of)
     streams = []
     for port in ports:
-        stream = SensorStream(port, SensorClock, ImuLost, needed)
+        stream = SensorStream(port, SensorClock, ImuLost, needed, session.by_radio)
         stack.callback(stream.close)
         streams.append(stream)
     return streams
