@@ -77,7 +77,9 @@ class Controller:
             for foot in sensor_of
             if any(channel.foot == foot and channel.onset == "predicted" for channel in session.channels)
         }
-        self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma)
+        self._late = frozenset(foot for foot, sensor in sensor_of.items() if sensor in session.by_radio)
+        self._foreseen_late = sorted(self._late & self.onsets.keys())
+        self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma, bounded=self._late)
         self.tuning = Tuners(session)
         self._reports: list[TuningReport] = []
         self._notes: list[Note] = []
@@ -107,7 +109,10 @@ class Controller:
     def notices(self) -> list[str]:
         """What a person should know of the feet: those in disorder, those whose onset cannot be predicted as asked."""
         onsets = [(foot.replace("_", " "), onset) for foot, onset in self.onsets.items() if not onset.in_use]
-        return self.in_disorder() + [f"{name}: {onset.describe()}" for name, onset in onsets]
+        late = [
+            f"{foot.replace('_', ' ')}: by radio, a burst begins as foreseen, or late" for foot in sorted(self._late)
+        ]
+        return self.in_disorder() + [f"{name}: {onset.describe()}" for name, onset in onsets] + late
 
     def walking(self, foot: str) -> bool:
         """Whether this foot is judged to be walking, so that a step may start a burst."""
@@ -134,6 +139,9 @@ class Controller:
         for fallback in self._fallbacks.values():  # what foot switches show, where the sensors show no steps
             for change in fallback.changes_at(event):
                 self._plan.on_phase(change, permitted=True)
+        for foot in self._foreseen_late:  # time passes between two samples, too
+            if self.onsets[foot].reached(event.t_ns):
+                self._begin_early(foot, event.t_ns)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, self._on and isinstance(event, Tick))
         if self._reports or self._notes:
@@ -160,19 +168,24 @@ class Controller:
                 fallback = self._fallbacks.get(foot)
                 if fallback is not None and not fallback.follows_sensor(outcome):
                     continue
-                # stimulation keeps to the host's clock, whatever the sensor's does
-                change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
+                # stimulation keeps to the host's clock, whatever the sensor's does; a radio's stamps are of that
+                t_ns = min(sample.t_sensor_ns, sample.t_ns) if foot in self._late else sample.t_ns
+                change = PhaseChange(t_ns, foot, outcome.transition, outcome.source, outcome.destination)
                 self._plan.on_phase(change, permitted=permitted)
 
     def _foresee(self, foot: str, sample: ImuSample) -> None:
         """Begin this foot's bursts early where its heel is about to rise, and that is known well of who walks."""
-        onset, fallback = self.onsets[foot], self._fallbacks.get(foot)
-        if onset.watching and onset.starts(sample.t_sensor_ns, *towards_heel_rise(self.trackers[foot])):
-            by_sensor = self._judges[foot].walking and not (fallback and fallback.active)
-            onset.used = onset.in_use and by_sensor and self._plan.begin_early(foot, sample.t_ns, self.intensity)
+        onset, now_ns = self.onsets[foot], sample.t_ns if foot in self._late else None
+        if onset.watching and onset.starts(sample.t_sensor_ns, *towards_heel_rise(self.trackers[foot]), now_ns):
+            self._begin_early(foot, sample.t_ns)
         for severity, source, text in onset.said:
             self._notes.append(Note(sample.t_ns, severity, source, f"{foot.replace('_', ' ')}: {text}"))
         onset.said.clear()
+
+    def _begin_early(self, foot: str, t_ns: int) -> None:
+        onset, fallback = self.onsets[foot], self._fallbacks.get(foot)
+        by_sensor = self._judges[foot].walking and not (fallback and fallback.active)
+        onset.used = onset.in_use and by_sensor and self._plan.begin_early(foot, t_ns, self.intensity)
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:
         """What the tuning reports; its parameters count from each channel's next burst."""

@@ -92,11 +92,12 @@ class OnsetPredictor:
             self._usual_ns = [median(ahead_ns) for ahead_ns in self._ahead_ns]
         self._judge()
 
-    def starts(self, t_ns: int, turned: float, turns: float) -> bool:
+    def starts(self, t_ns: int, turned: float, turns: float, now_ns: int | None = None) -> bool:
         """Whether a burst is to begin at this sample of stance: once a stance, whether it may be used or not.
 
         Args:
-            t_ns: the sample's time.
+            t_ns: when the sample was measured.
+            now_ns: what time it is, where that is later.
             turned: how far the foot has turned toe-down since it stood still, as a share of T1's limit.
             turns: how fast it turns so, likewise.
         """
@@ -115,9 +116,15 @@ class OnsetPredictor:
             return False
         yet_ns = [usual_ns for usual_ns, passed in zip(self._usual_ns, self._passed_ns, strict=True) if passed is None]
         self.expected_ns = max(self._contact_ns + self._usual_ns[0], t_ns + max(yet_ns, default=0.0))
-        if t_ns < self.expected_ns - self._lead_ns:
+        return self.reached(t_ns if now_ns is None else now_ns)
+
+    def reached(self, now_ns: int) -> bool:
+        """Whether the time for a burst has come by now, for all that the newest sample has shown; once a stance."""
+        if not self.watching or self.began_ns is not None or self.expected_ns is None:
             return False
-        self.began_ns = t_ns
+        if now_ns < self.expected_ns - self._lead_ns:
+            return False
+        self.began_ns = now_ns
         return True
 
     def _pass(self, t_ns: int, turned: float, turns: float) -> None:

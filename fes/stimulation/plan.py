@@ -14,6 +14,10 @@ With ``onset = "predicted"`` a burst may begin before the entry into ``start_pha
 the burst goes on, but lasts no longer for it: of ``extension_s`` as much is left out as it began early. Where that is
 more than all of it, the burst lasts no longer than the longest of the last ones, had they begun at the entry.
 
+Of a foot in ``bounded``, whose samples come late, every burst falls by prediction where no sample has said so sooner:
+``extension_s`` after the entry into ``stop_phase`` is expected, by the longest of the last times from the start phase
+and from the phase before, of which the sooner counts. So none starts before these are known.
+
 It begins with one step of the device, at once, and rises from there: the gate grants nothing for the time before.
 
 A burst starts late rather than break a rule that the gate would enforce: not before its channel has been off for
@@ -48,7 +52,7 @@ class _ChannelState:
     the next burst, ``taken`` those of the burst awaited or under way. ``before`` is the phase before the stop phase,
     entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last. ``started_ns`` is the entry into
     the start phase, ``lasted_ns`` how long it was from there to the stop phase last; a burst that began early has a
-    ``latest_ns``, when it is to fall.
+    ``latest_ns``, when it is to fall. ``bounded``: so has every burst.
     """
 
     channel: Channel
@@ -58,6 +62,7 @@ class _ChannelState:
     before: Phase
     upcoming: BurstParameters
     taken: BurstParameters
+    bounded: bool = False
     partners: tuple[_ChannelState, ...] = ()
     awaited_ns: int | None = None
     burst: Envelope | None = None
@@ -95,18 +100,32 @@ class _ChannelState:
     def due_ns(self) -> int | None:
         """When this cycle's burst is to fall though the stop phase has not come; None for not before it."""
         early_ns = to_ns(-self.taken.extension_s)
-        if early_ns <= 0 or self.before_ns is None or len(self.approaches_ns) < EXPECTED_FROM:
+        waits = early_ns <= 0 and not self.bounded
+        if waits or self.before_ns is None or len(self.approaches_ns) < EXPECTED_FROM:
             return self.latest_ns
-        return self.before_ns + max(max(self.approaches_ns) - early_ns, 0)
+        due_ns = self.before_ns + max(max(self.approaches_ns) - early_ns, 0)
+        return due_ns if self.latest_ns is None or not self.bounded else min(due_ns, self.latest_ns)
+
+    @property
+    def foreseen(self) -> bool:
+        """Whether it is known when a burst that starts now is to fall, as far as that has to be known."""
+        return not self.bounded or (len(self.approaches_ns) >= EXPECTED_FROM and bool(self.lasted_ns))
+
+    def bound(self, t_ns: int) -> None:
+        """The start phase was entered: note when its burst falls at the latest."""
+        if self.bounded and self.lasted_ns:
+            due_ns = t_ns + max(self.lasted_ns) + max(to_ns(self.taken.extension_s), 0)
+            self.latest_ns = due_ns if self.latest_ns is None else min(self.latest_ns, due_ns)
 
     def confirmed(self, t_ns: int) -> Envelope | None:
         """The burst that began early and is still on at the entry into the start phase, as it goes on; None if none."""
         burst = self.burst
         if burst is None or self.latest_ns is None or burst.over(t_ns):
             return None
-        left_ns = burst.extension_ns - (t_ns - burst.t_start_ns)
-        if left_ns >= 0:
+        left_ns = burst.extension_ns - max(t_ns - burst.t_start_ns, 0)
+        if left_ns >= 0 and not self.bounded:
             self.latest_ns = None
+        self.bound(t_ns)
         whole = Envelope.for_channel(self.channel, burst.t_start_ns, burst.intensity, self.taken, self.latest_ns)
         return replace(whole, extension_ns=max(left_ns, 0))
 
@@ -121,15 +140,22 @@ class StimulationPlan:
         channels: the session's channels, with distinct numbers.
         current_step_ma: the device's step of current; requests are rounded down to it, and below one step is off.
         pulse_width_step_us: its step of pulse width.
+        bounded: feet whose samples come late.
     """
 
     def __init__(
-        self, channels: tuple[Channel, ...], *, current_step_ma: float = 0.5, pulse_width_step_us: float = 1.0
+        self,
+        channels: tuple[Channel, ...],
+        *,
+        current_step_ma: float = 0.5,
+        pulse_width_step_us: float = 1.0,
+        bounded: frozenset[str] = frozenset(),
     ) -> None:
         self._current_step_ma = current_step_ma
         self._pulse_width_step_us = pulse_width_step_us
         self._states = tuple(_state_of(channel) for channel in channels)
         for state in self._states:
+            state.bounded = state.channel.foot in bounded
             state.partners = tuple(other for other in self._states if _exclusive(state.channel, other.channel))
 
     def on_phase(self, change: PhaseChange, *, permitted: bool) -> None:
@@ -148,7 +174,9 @@ class StimulationPlan:
                     state.burst = confirmed
                 else:
                     state.burst, state.latest_ns, state.taken = None, None, state.upcoming
-                    state.awaited_ns = change.t_ns + to_ns(state.taken.start_delay_s) if permitted else None
+                    state.bound(change.t_ns)
+                    starts = permitted and state.foreseen
+                    state.awaited_ns = change.t_ns + to_ns(state.taken.start_delay_s) if starts else None
                 state.by_hand_ns, state.adopt = None, False
             elif change.destination == state.stop:
                 state.awaited_ns = None
@@ -166,6 +194,8 @@ class StimulationPlan:
         for state in self._states:
             busy = state.on or state.burst is not None or state.awaited_ns is not None
             if busy or state.channel.onset != "predicted" or state.channel.foot != foot or not state.lasted_ns:
+                continue
+            if not state.foreseen:
                 continue
             state.taken, state.awaited_ns, state.latest_ns = state.upcoming, t_ns, None
             state.by_hand_ns, state.adopt = None, False
