@@ -30,7 +30,8 @@ import numpy as np
 
 from drivers.simulated.imu.capture2go import Air
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.serial_wires import SERIAL_WIRES, serial_wire
+from drivers.simulated.imu.radio import Radio
+from drivers.simulated.imu.serial_wires import SERIAL_WIRES, on_its_line, serial_wire
 from drivers.simulated.lines import LINE_FAULTS, LineFaults, PtyEnd
 from drivers.simulated.process_end import STDIN, CommandReader, become_real_time, publish_ready, stop_signals
 from drivers.simulated.record import Pulse, PulseInlet
@@ -100,15 +101,16 @@ class PatientDevice:
         }
         self._imus = {name: self._imu(settings, felt) for name, felt in self._felt.items()}
 
-    def _imu(self, settings: PatientSettings, felt: ImuSignal) -> SimulatedImu:
+    def _imu(self, settings: PatientSettings, felt: ImuSignal) -> SimulatedImu | Radio:
         imu = settings.imu
-        return SimulatedImu(
+        sensor = SimulatedImu(
             serial_wire(self._kind, settings.rate_hz, air=self._air),
             felt,
             self._start_ns + self._step_ns,
             acc_range_g=(imu.acc_range_mps2 or 16.0 * G_MPS2) / G_MPS2,
             gyr_range_dps=math.degrees(imu.gyr_range_radps or math.radians(2000.0)),
         )
+        return on_its_line(self._kind, sensor, self._start_ns)
 
     def begin(self, t_ns: int) -> None:
         """Let the patient's time begin now.
