@@ -254,6 +254,7 @@ LONG: dict[str, Sequence[str]] = {
     "offline-phases": ("accuracy/offline_phases.py",),
     "severe-feet": ("accuracy/severe_feet.py",),
     "predicted-onset": ("loop/predicted_onset.py",),
+    "by-radio": ("loop/by_radio.py",),
     "bundled-trials": ("accuracy/bundled_trials.py",),
     "stroke-treadmill": ("accuracy/stroke_treadmill.py",),
     "stride-length": ("accuracy/stride_length.py",),

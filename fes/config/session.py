@@ -236,8 +236,6 @@ class Session(Settings):
                     )
             if channel.tuning is not None and channel.tuning.mode != "off":
                 raise ValueError(f"channel {channel.name!r}: by radio nothing is tuned; leave out tuning")
-            if channel.start_phase == "pre_swing" and channel.onset != "predicted":
-                raise ValueError(f'channel {channel.name!r}: by radio a heel rise is seen late: onset = "predicted"')
         return self
 
     @model_validator(mode="after")
@@ -349,9 +347,9 @@ def load_exercise(path: Path) -> Session:
             raise ConfigError(f"{path}: exercise.channels: {channel.name!r} is never_with {partners}; name one of them")
         ramps = {"rise_s": exercise.rise_s, "fall_s": exercise.fall_s, "start_delay_s": 0.0, "extension_s": 0.0}
         channels.append({**channel.model_dump(), **ramps, "never_with": (), "tuning": None, "onset": "detected"})
-    changed = {"channels": channels, "sensors": (), "foot_switches": ()}
     age_ms = min(session.stimulation.max_data_age_ms, limits.MAX_DATA_AGE_MS)  # of no data; a radio's would be refused
-    changed["stimulation"] = {**session.stimulation.model_dump(), "max_data_age_ms": age_ms}
+    stimulation = {**session.stimulation.model_dump(), "max_data_age_ms": age_ms}
+    changed = {"channels": channels, "sensors": (), "foot_switches": (), "stimulation": stimulation}
     return validate_session({**session.model_dump(), **changed}, path).model_copy(update={"live": session.live})
 
 

@@ -39,7 +39,6 @@ def test_what_the_simulation_writes_is_a_session_by_radio(tmp_path: Path) -> Non
         ("max_current_ma = 50.0", "max_current_ma = 61.0", "by radio max_current_ma is 60 at most"),
         ("phase_uc = 15.0", "phase_uc = 20.5", "by radio max_charge_per_phase_uc is 20 at most"),
         ("minute_mc = 30.0", "minute_mc = 31.0", "by radio max_charge_per_minute_mc is 30 at most"),
-        ('onset = "predicted"\n', "", 'by radio a heel rise is seen late: onset = "predicted"'),
         ("max_data_age_ms = 120", "max_data_age_ms = 121", "max_data_age_ms"),
         ("capture2go_ble", "capture2go", r"max_data_age_ms = 120 is over 40; up to 120 is only for sensors by radio"),
     ],
