@@ -109,8 +109,8 @@ def gated(death: Death, *, mid_level: bool) -> list[int]:
             continue
         command_ns = t_ns
         gate.observe(Tick(t_ns))
-        rising_ma = 0.5 * int(1 + (t_ns - first_ns) / NS_PER_S * LIMITS["max_rise_ma_per_s"])
-        wants = t_ns > first_ns
+        rising_ma = 0.5 * int(1 + (t_ns - first_ns - COMMAND_NS) / NS_PER_S * LIMITS["max_rise_ma_per_s"])
+        wants = t_ns > first_ns  # from one step of the device on
         levels = (min(CURRENT_MA, rising_ma), WIDTH_US, FREQUENCY_HZ) if wants else (0.0, 0.0, 0.0)
         port.send(gate.judge(t_ns, StimRequest(0, wants, *levels)))
     return _pulses(line)
