@@ -84,7 +84,7 @@ class Capture2GoRadio(Capture2GoPort):
             self._send_soon(c2g.pack(Header.CMD_GET_STATUS))
         return found
 
-    def told_times(self) -> list[tuple[str, int, int]]:
+    def clock_answers(self) -> list[tuple[str, int, int]]:
         """See the base."""
         told, self._told = self._told, []
         return told

@@ -70,7 +70,7 @@ class ImuPort(ABC):
             ImuLost: the line broke; :meth:`reopen` may mend it.
         """
 
-    def told_times(self) -> Sequence[tuple[str, int, int]]:
+    def clock_answers(self) -> Sequence[tuple[str, int, int]]:
         """Of sensors by radio, since the last call: when each was asked for its time (host, ns), what it said (ns)."""
         return ()
 

@@ -32,7 +32,7 @@ class Imu(Protocol):
     def read(self, t_ns: int) -> Sequence[RawSample]:
         """All that has come; never waits."""
 
-    def told_times(self) -> Sequence[tuple[str, int, int]]:
+    def clock_answers(self) -> Sequence[tuple[str, int, int]]:
         """Of sensors by radio, since the last call: name, when it was asked for its time, what it said; ns."""
 
     def reopen(self) -> None:
@@ -178,7 +178,7 @@ class SensorStream:
             yield from self._lose(t_ns, str(error))
             return
         took_ns = 0 if clock_ns is None or not raw else max(clock_ns() - t_ns, 0)
-        for sensor, asked_ns, said_ns in self.port.told_times() if self._by_radio else ():
+        for sensor, asked_ns, said_ns in self.port.clock_answers() if self._by_radio else ():
             asked = self._clocks[sensor]
             if isinstance(asked, BoundedClock):
                 asked.asked(asked_ns, said_ns)

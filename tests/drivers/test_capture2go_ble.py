@@ -166,9 +166,9 @@ def test_one_at_a_time_and_asked_for_its_time_it_answers_within_what_the_radio_t
     (port,) = open_imus([device()])
     found = listen(port, 1.5)
     assert len(found) >= 120
-    told = port.told_times()
+    told = port.clock_answers()
     assert len(told) >= 8
-    assert port.told_times() == []
+    assert port.clock_answers() == []
     # the clock was set when it was opened, some time before the command reached it: it shows less than the host's
     for sensor, asked_ns, said_ns in told:
         assert sensor == "left_foot"
@@ -179,9 +179,9 @@ def test_one_at_a_time_and_asked_for_its_time_it_answers_within_what_the_radio_t
 def test_an_answer_that_is_lost_makes_no_later_one_count_for_more(radio: Radio) -> None:
     (port,) = open_imus([device()])
     listen(port, 0.3)
-    port.told_times()
+    port.clock_answers()
     radio.away_until_ns = time.monotonic_ns() + NS_PER_S
     listen(port, 1.5)
-    oldest_ns = min(asked_ns for _, asked_ns, _ in port.told_times())
+    oldest_ns = min(asked_ns for _, asked_ns, _ in port.clock_answers())
     assert oldest_ns < radio.away_until_ns - NS_PER_S // 2  # by when it was asked, not by when it was asked again
     port.close()

@@ -260,7 +260,7 @@ class RecordedSensors:
             due.append(RawSample(each.sensor, t_ns, each.t_sensor_ns, each.acc_mps2, each.gyr_radps))
         return due
 
-    def told_times(self) -> tuple[tuple[str, int, int], ...]:
+    def clock_answers(self) -> tuple[tuple[str, int, int], ...]:
         """Nobody asks a recording."""
         return ()
 
