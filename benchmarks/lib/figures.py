@@ -141,13 +141,14 @@ def figure(asked: str, results: Path = RESULTS) -> str:
 
     ROW is an expression that the row's cells, joined by ", ", begin with, COLUMN one for the column's whole name. HOW
     is ``one``, ``least``, ``most`` or ``sum`` and an expression with one group: what is taken of each cell in which it
-    is found, a number but for ``one``. ROW ``note`` asks the notes instead, which have no columns.
+    is found, a number but for ``one``. ROW ``note`` asks the notes instead, which have no columns. In a page's table a
+    ``|`` would end the cell, so ``¦`` stands for it.
 
     Raises:
         FileNotFoundError: no such result.
         ValueError: nothing is found, or several where ``one`` is asked for.
     """
-    name, row, column, how = (part.strip() for part in asked.split(";"))
+    name, row, column, how = (part.strip() for part in asked.replace("¦", "|").split(";"))
     kept = Result.read(results / f"{name}.json")
     cells = [
         cell

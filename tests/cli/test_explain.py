@@ -356,7 +356,7 @@ def turned_over(sample: ImuSample, number: int) -> list[Event]:
 
 NOT_READY: dict[str, tuple[Callable[[ImuSample, int], list[Event]], float, float, str]] = {
     "no sample yet": (lambda s, n: [], 0.0, 1.0, "no data from right_foot"),
-    "turned over at rest": (turned_over, 3.0, 4.5, "right_foot rests turned by more than 65° from its calibration"),
+    "turned over at rest": (turned_over, 3.0, 4.5, "right_foot shows turned by more than 65° from its calibration"),
 }
 
 

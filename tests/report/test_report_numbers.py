@@ -346,6 +346,7 @@ def test_json_keys_are_stable_and_nan_is_null():
             "by_hand",
             "exercise",
             "measures",
+            "marks",
             "thresholds",
         ),
     }
@@ -353,7 +354,7 @@ def test_json_keys_are_stable_and_nan_is_null():
         *("foot", "number", "start_s", "duration_s", "stride_length_m", "speed_mps", "clearance_cm"),
         *("toe_clearance_cm", "heel_clearance_cm", "height_gained_cm", "turn_deg", "pre_swing_s", "swing_s"),
         *("loading_response_s", "stance_s", "four_phases", "path", "heel_lifts_put_back", "valid", "reason"),
-        *("stimulation", "refused", "live"),
+        *("stimulation", "refused", "live", "mark"),
     }
     assert set(value["strides"][-1]["stimulation"][0]) == {
         *("channel", "name", "bursts", "onset_after_pre_swing_ms", "duration_s", "peak_current_ma", "charge_uc"),
