@@ -35,11 +35,19 @@ class Person(Protocol):
     def does(self, key: str, instruction: str) -> None:
         """Show what is to be done; return when they are about to do it."""
 
-    def reads(self, key: str, question: str, unit: str) -> float:
-        """What they read from the oscilloscope."""
+
+class Striker(Person, Protocol):
+    """Who handles a sensor, and strikes a key with it."""
 
     def struck_ns(self) -> int | None:
         """When they struck the key since the last call; None: not yet. Never waits."""
+
+
+class Reader(Person, Protocol):
+    """Who handles a stimulator, and reads an oscilloscope."""
+
+    def reads(self, key: str, question: str, unit: str) -> float:
+        """What they read."""
 
 
 class RealTime:

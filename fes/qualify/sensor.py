@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.imu.port import ImuPort, LineCounts
 from fes.config import ImuDevice
-from fes.qualify.bench import Clock, NotQualified, Person
+from fes.qualify.bench import Clock, NotQualified, Striker
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray
 
 Figures = dict[str, Any]
@@ -54,7 +54,7 @@ class SensorBench:
     device: ImuDevice
     port: ImuPort
     clock: Clock
-    person: Person
+    person: Striker
 
     def figures(self) -> Figures:
         """All of them; what could not be told is None."""

@@ -139,10 +139,6 @@ class SensorPerson:
         self.feels.begin("strike")
         return self.line.t_ns
 
-    def reads(self, key: str, question: str, unit: str) -> float:
-        """There is nothing to read from a sensor."""
-        raise NotImplementedError
-
 
 def sensor_settings(kind: str, rate_hz: float = 100.0) -> ImuDevice:
     """Of a simulated sensor, which is worn nowhere."""
@@ -220,9 +216,6 @@ class StimulatorPerson:
         self._presses = key == "switch"
         if key == "release" and isinstance(self.line, DeviceLine):
             self.line.faults.send(self.line.t_ns, self.line.device.set_fault(self.line.t_ns, "emergency", 0.0))
-
-    def struck_ns(self) -> int | None:
-        """They strike nothing."""
 
     def reads(self, key: str, question: str, unit: str) -> float:
         """What the question asks for, of what was put out."""
@@ -317,7 +310,7 @@ def simulated_stimulator(
 
         def open_on_line(t_ns: int) -> Port:
             port = open_stimulator(session.stimulator, session, SESSION_ID, lambda *_: wire)
-            port.open(t_ns, clock_ns=wire.clock_ns)  # type: ignore[call-arg]  # all that are on a line have it
+            port.open(t_ns, clock_ns=wire.clock_ns)  # type: ignore[call-arg]  # an extension's need not have one
             return port
 
         opener = open_on_line

@@ -19,7 +19,7 @@ from drivers.stimulator.open import Port
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Channel, ConfigError, Session, validate_session
 from fes.gate import SafetyGate, gate_of
-from fes.qualify.bench import Clock, NotQualified, Person
+from fes.qualify.bench import Clock, NotQualified, Reader
 from fes.qualify.sensor import Figures
 from fes.signals import NS_PER_S, OperatorAct, OperatorAction, StimRequest, StimStatus, SystemFault, Tick
 
@@ -81,7 +81,7 @@ class StimulatorBench:
     session: Session
     opener: Callable[[int], Port]
     clock: Clock
-    person: Person
+    person: Reader
     _port: Port | None = None
     _on: bool = False
     _latches: list[str] = field(default_factory=list)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fes import limits
-from fes.config import ConfigError, load_session
+from fes.config import ConfigError, Session, load_session
 from fes.config.session import load_exercise
 from fes.hil.settings import patient_session_text
 from fes.simulation.forward import settings_for
@@ -17,7 +17,7 @@ GOOD = patient_session_text(PATIENT, ports={"right_foot": "IMU_1234ab"}, sensors
 EXERCISE = "\n[exercise]\non_s = 0.3\noff_s = 1.0\nrise_s = 0.2\nfall_s = 0.1\ncount = 3\n"
 
 
-def load(tmp_path: Path, text: str) -> object:
+def load(tmp_path: Path, text: str) -> Session:
     path = tmp_path / "session.toml"
     path.write_text(text, encoding="utf-8")
     return load_session(path)
@@ -25,7 +25,7 @@ def load(tmp_path: Path, text: str) -> object:
 
 def test_what_the_simulation_writes_is_a_session_by_radio(tmp_path: Path) -> None:
     session = load(tmp_path, GOOD)
-    assert session.by_radio == {"right_foot"}  # type: ignore[attr-defined]
+    assert session.by_radio == {"right_foot"}
     (tmp_path / "session.toml").write_text(GOOD + EXERCISE, encoding="utf-8")
     assert load_exercise(tmp_path / "session.toml").stimulation.max_data_age_ms == limits.MAX_DATA_AGE_MS
 

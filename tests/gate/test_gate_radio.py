@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from gate_bench import MS, Bench, make_channel, noise, unchecked_channel
 
 from fes import limits
+from fes.config import Channel
 from fes.gate import SafetyGate
 from fes.signals import OperatorAction
 
@@ -16,8 +19,8 @@ RADIO = limits.RADIO
 class RadioBench(Bench):
     """The left foot's sensor is on a radio, the right one's on a cable."""
 
-    def __init__(self, *channels: object, **more: object) -> None:
-        super().__init__(*channels, max_data_age_ms=500, by_radio=frozenset({FOOT}), **more)  # type: ignore[arg-type]
+    def __init__(self, *channels: Channel, **more: Any) -> None:
+        super().__init__(*channels, max_data_age_ms=500, by_radio=frozenset({FOOT}), **more)
 
     def came(self, old_ms: int) -> None:
         """A sample that was measured so long ago."""
