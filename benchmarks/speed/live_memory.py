@@ -26,7 +26,7 @@ from fes.config import load_session
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.estimation.warm_up import warm_up
 from fes.live.realtime import frozen_garbage
-from fes.live.sensors import SensorStream
+from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession, live_header
 from fes.live.stimulator import LiveStimulator, Opened
 from fes.session_log.writer import RecordBuffer
@@ -72,18 +72,19 @@ class TwoFeet:
         self._clock, self._keys, self._script = clock, keys, script
         self.serials: dict[str, str] = {}
         self._signals = [walking_signal(sensor, RATE_HZ) for sensor in FOOT_SENSORS]
-        self._ready, more = os.pipe()  # always readable
-        os.write(more, b"x")
-        self._number = -1  # the first reading finds nothing: what has queued up before a session is let go
+        self._ready, self._more = os.pipe()
+        os.write(self._more, b"x")
+        self._number = -EMPTY_READS  # nothing at first: what has queued up before a session is let go
 
     def fileno(self) -> int:
         return self._ready
 
     def read(self, t_ns: int) -> list[Raw]:
-        self._clock.now_ns += STEP_NS
+        os.write(self._more, os.read(self._ready, 1))  # readable anew
         self._number += 1
-        if self._number == 0:
+        if self._number <= 0:
             return []
+        self._clock.now_ns += STEP_NS
         if key := self._script.get(self._number % int(60 * RATE_HZ)):
             os.write(self._keys, key)
         t_device_ns = self._clock.now_ns - BEGIN_NS

@@ -20,6 +20,7 @@ from can.interfaces.slcan import slcanBus
 from drivers.receive_buffer import make_room
 from drivers.stimulator.can_codec import NODE_IDS
 from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.serial_line import Waiting
 from fes.config import Bus
 
 MULTICAST: Final = "udp_multicast"
@@ -62,6 +63,7 @@ class PromptSlcanBus(slcanBus):
     def __init__(self, channel: str, timeout: float = 0.0, **options: Any) -> None:
         super().__init__(channel, timeout=timeout, **options)
         self.channel_info = f"serial CAN adapter on {channel}"
+        self._waiting = Waiting(self.serialPortOrig)
         self.serialPortOrig.write_timeout = 0  # or the first frame would set the port up anew
 
     def _write(self, string: str) -> None:
@@ -90,6 +92,8 @@ class PromptSlcanBus(slcanBus):
     def _read(self, timeout: float | None) -> str | None:
         """The next line; None when none is complete within ``timeout``."""
         while not (ends := [at for at in map(self._buffer.find, _ENDS) if at >= 0]):
+            if timeout == 0.0 and self._waiting.nothing():
+                return None
             try:
                 if not select.select([self._descriptor], [], [], timeout)[0]:
                     return None

@@ -109,6 +109,7 @@ class Reopening(Generic[Port]):
 
 
 STUCK_NS: Final = 1_000_000_000  # a line, or a needed sensor on it, that was alive and is silent so long: opened again
+EMPTY_READS: Final = 10  # in a row: one of nine of a terminal waits for what the kernel still has (serial_line.Waiting)
 
 
 class SensorStream:
@@ -158,9 +159,10 @@ class SensorStream:
         """Let go of what has queued up; its arrival says nothing of when it was, so no clock may see it."""
         self._newest_ns = None  # nor is the time that nobody listened a silence
         self._newest_of.clear()
+        empty = 0
         try:
-            while self.port is not None and self.port.read(t_ns):
-                pass
+            while self.port is not None and empty < EMPTY_READS:
+                empty = 0 if self.port.read(t_ns) else empty + 1
         except self._lost as error:
             yield from self._lose(t_ns, str(error))
 

@@ -5,7 +5,7 @@ has queued up while the loop was away is still given on, so that nothing is lost
 the gate sees by the sensors' own clocks how old it is.
 """
 
-import selectors
+import select
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -93,7 +93,9 @@ class LiveSource:
     longest_stall_ns: int = 0
 
     def __post_init__(self) -> None:
-        self._selector = selectors.DefaultSelector()
+        # edge by edge: what has been read empty is not asked again, which for a terminal would wait for a kernel worker
+        # of ordinary priority (see drivers.stimulator.serial_line.Waiting); everything is read every turn anyway
+        self._epoll = select.epoll()
         self._registered: dict[SensorStream | Input, int] = {}
         self._checked_ns = self._stamp_ns = self.clock_ns()  # the last look at everything; the newest event's time
         self._was_allowed = False  # at that look
@@ -106,7 +108,7 @@ class LiveSource:
         try:
             yield from self._turns()
         finally:
-            self._selector.close()
+            self._epoll.close()
 
     def _turns(self) -> Iterator[Event]:
         for stream in self.streams:  # what queued up before anybody listened belongs to no session
@@ -169,7 +171,7 @@ class LiveSource:
         if any(stream.must_be_polled for stream in self.streams):
             deadline_ns = min(deadline_ns, self.clock_ns() + POLLED_NS)
         left_ns = deadline_ns - self.clock_ns()
-        if not self._selector.select(max(left_ns, 0) * 1e-9) and left_ns > 0:
+        if not self._epoll.poll(max(left_ns, 0) * 1e-9) and left_ns > 0:
             self.on_lateness(self.clock_ns() - deadline_ns)
 
     def _register(self) -> None:
@@ -181,10 +183,10 @@ class LiveSource:
                 continue
             if known is not None:
                 del self._registered[each]
-                with suppress(KeyError, ValueError):  # closed with its line
-                    self._selector.unregister(known)
+                with suppress(OSError, ValueError):  # closed with its line
+                    self._epoll.unregister(known)
             if descriptor is not None:
-                self._selector.register(descriptor, selectors.EVENT_READ)
+                self._epoll.register(descriptor, select.EPOLLIN | select.EPOLLET)
                 self._registered[each] = descriptor
 
 

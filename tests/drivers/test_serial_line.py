@@ -10,9 +10,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, LineSettings, SerialLine, latency_hint, open_line
+from drivers.stimulator.serial_line import (
+    SCIENCEMODE2,
+    SCIENCEMODE4,
+    LineSettings,
+    SerialLine,
+    Waiting,
+    latency_hint,
+    open_line,
+)
 
 
 @pytest.fixture
@@ -57,6 +66,12 @@ def test_a_line_that_takes_no_more_is_lost_at_once(pty: tuple[int, str]) -> None
     line.close()
 
 
+def read_on(line: SerialLine) -> None:
+    """As a loop does."""
+    for _ in range(10):
+        line.read()
+
+
 def test_the_other_end_gone_is_a_lost_stimulator() -> None:
     own, other = os.openpty()
     tty.setraw(other)
@@ -64,12 +79,26 @@ def test_the_other_end_gone_is_a_lost_stimulator() -> None:
     os.close(other)
     os.close(own)
     with pytest.raises(StimulatorLost, match=r"Check cable"):
-        line.read()
+        read_on(line)
     with pytest.raises(StimulatorLost, match="did not take a command"):
         line.write(b"x")
     line.close()
     with pytest.raises(StimulatorLost):
         line.read()
+
+
+def test_an_empty_terminal_is_rarely_read_and_what_waits_always_found(pty: tuple[int, str]) -> None:
+    own, name = pty
+    line = serial.Serial(name, timeout=1.0)
+    waiting = Waiting(line)
+    looks = [waiting.nothing() for _ in range(90)]
+    assert looks.count(False) == 10  # for an end that is gone does not show in the number of bytes
+    os.write(own, b"x")
+    assert line.read() == b"x"
+    os.write(own, b"yz")
+    assert line.read() == b"y"
+    assert not waiting.nothing()
+    line.close()
 
 
 def test_a_tcp_line() -> None:

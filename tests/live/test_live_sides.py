@@ -18,7 +18,7 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.live.commands import CommandKind, OperatorCommand, State
-from fes.live.sensors import SensorStream
+from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession
 from fes.live.sides import EXCHANGED, SideCheck
 from fes.live.stimulator import LiveStimulator
@@ -126,16 +126,17 @@ class WalkedAgain:
         self.notices: list[str] = []
         self._clock, self._begin_ns = clock, clock.now_ns
         self._moments = zip(*(rows_of(track) for track in tracks.values()), strict=True)
-        self._ready, self._more = os.pipe()  # always readable
+        self._ready, self._more = os.pipe()
         os.write(self._more, b"x")
-        self._listened = False
+        self._unheard = EMPTY_READS
 
     def fileno(self) -> int:
         return self._ready
 
     def read(self, t_ns: int) -> list[Raw]:
-        if not self._listened:  # what has queued up before a session is let go
-            self._listened = True
+        os.write(self._more, os.read(self._ready, 1))  # readable anew
+        if self._unheard:  # what has queued up before a session is let go
+            self._unheard -= 1
             return []
         moment = next(self._moments, None)
         if moment is None:

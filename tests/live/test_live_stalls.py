@@ -12,7 +12,7 @@ from test_live_operator import CALIBRATION, FOOT, settings
 
 from fes.live.commands import State
 from fes.live.remedies import remedy
-from fes.live.sensors import SensorStream
+from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession
 from fes.live.stimulator import LiveStimulator, Opened
 from fes.session_log import SessionRecord, SessionWriter, read_session
@@ -36,18 +36,19 @@ class Standing:
         self.serials: dict[str, str] = {}
         self.notices: list[str] = []
         self._clock = clock
-        self._ready, more = os.pipe()  # always readable
-        os.write(more, b"x")
-        self._number = -1  # the first reading finds nothing: what has queued up before a session is let go
+        self._ready, self._more = os.pipe()
+        os.write(self._more, b"x")
+        self._number = -EMPTY_READS  # nothing at first: what has queued up before a session is let go
 
     def fileno(self) -> int:
         return self._ready
 
     def read(self, t_ns: int) -> list[Raw]:
-        self._clock.now_ns += STEP_NS
+        os.write(self._more, os.read(self._ready, 1))  # readable anew
         self._number += 1
-        if self._number == 0:
+        if self._number <= 0:
             return []
+        self._clock.now_ns += STEP_NS
         living = 0.001 * (self._number % 7)
         return [Raw(FOOT, t_ns, t_ns, (0.0, living, 9.81), (living, 0.0, 0.0))]
 

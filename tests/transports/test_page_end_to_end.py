@@ -175,7 +175,8 @@ def test_what_it_shows_is_what_the_log_holds_also_after_reloading_and_in_a_secon
             other.until("document.querySelectorAll('#strides tr').length >= 5")
             page.until("document.getElementById('link-text').textContent === 'this page watches'")
             assert page.run("document.getElementById('up').disabled")
-            assert run.until(lambda status: True).state in ("armed", "running")
+            status = run.until(lambda status: True)  # a busy machine may hold the sensor up, page or none
+            assert status.state in ("armed", "running") or any(word in status.fault for word in LOST_TIME), status
             page.press("#stop")  # an old link's
             other.until(state_is("stopped"))
             said = run.quit()
