@@ -350,6 +350,7 @@ class Plausible:
     def __init__(self, devices: tuple[ImuDevice, ...], up: Mapping[str, Vector3]) -> None:
         self._devices = {str(device.sensor): device for device in devices}
         self._up = dict(up)
+        self._new("")  # compiled now, though no sensor may be known yet: a first sample must not wait for it
         self._sensors = {sensor: self._new(sensor) for sensor in self._devices.keys() | self._up.keys()}
 
     def fault(self, sample: ImuSample) -> str:
