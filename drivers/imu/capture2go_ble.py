@@ -24,8 +24,7 @@ from typing import Any, Final
 
 from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_codec import Header, Package
-from drivers.imu.capture2go_port import Capture2GoPort
-from drivers.imu.line import ByteLine
+from drivers.imu.capture2go_port import Capture2GoImu, Capture2GoPort
 from drivers.imu.port import ImuLost, flag_option, seconds_option
 from fes.config import ImuDevice
 from fes.signals import NS_PER_S, RawSample
@@ -40,10 +39,7 @@ QUEUED: Final = 10_000  # notifications, more than a minute's
 FIRST_NS: Final = 2 * NS_PER_S  # in which the sensor is asked more often …
 FIRST_PAUSE_NS: Final = NS_PER_S // 10  # … since of some twenty ways there one is short
 PAUSE_NS: Final = NS_PER_S
-UNANSWERED_NS: Final = (
-    10 * NS_PER_S
-)  # an answer so late is none: what lies in the radio so long has stopped the session
-BRIDGE_BAUDRATE: Final = 921_600
+UNANSWERED_NS: Final = 10 * NS_PER_S  # so late is no answer: what lies in the radio so long has stopped the session
 _HINT: Final = "Is it switched on, charged and near, connected to nothing else, and Bluetooth on?"
 
 
@@ -51,7 +47,6 @@ class Capture2GoRadio(Capture2GoPort):
     """What is the same however the notifications come: the sensor is asked for its time."""
 
     status_every_s = 0
-    _decoder: c2g.NotificationDecoder
 
     def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         if flag_option(device, "packed", False):
@@ -90,23 +85,16 @@ class Capture2GoRadio(Capture2GoPort):
         return told
 
 
-class Capture2GoBridge(Capture2GoRadio):
+class Capture2GoBridge(Capture2GoRadio, Capture2GoImu):
     """Notifications over a line of bytes, each after its length (two bytes, the least significant first)."""
 
+    baudrate = 921_600
+    decoder = c2g.NotificationDecoder
+    _send_soon = Capture2GoImu._send
+
     def _open(self) -> None:
-        self._decoder = c2g.NotificationDecoder(self._counts)
-        self._line = ByteLine(self._device.sensor, self._device.port, BRIDGE_BAUDRATE)
         self._bytes = bytearray()
-        try:
-            self._begin()
-        except ImuLost:
-            self._line.close()
-            raise
-
-    def _send(self, package: bytes) -> None:
-        self._line.write(package)
-
-    _send_soon = _send
+        super()._open()
 
     def _receive(self) -> list[Package]:
         self._bytes += self._line.read()
@@ -115,22 +103,6 @@ class Capture2GoBridge(Capture2GoRadio):
             packages += self._decoder.feed(bytes(self._bytes[2:end]))
             del self._bytes[:end]
         return packages
-
-    def _wait(self, seconds: float) -> None:
-        select.select([self._line.fileno()], [], [], seconds)
-
-    @property
-    def _name(self) -> str:
-        return self._line.name
-
-    def fileno(self) -> int:
-        """The line's descriptor."""
-        return self._line.fileno()
-
-    def close(self) -> None:
-        """Stop it and release the line."""
-        self._end()
-        self._line.close()
 
 
 class Capture2GoBle(Capture2GoRadio):

@@ -38,6 +38,7 @@ class Capture2GoPort(OneSensorPort):
 
     status_every_s = STATUS_EVERY_S
     mode_field = "fullFixedMode"
+    _decoder: c2g.Capture2GoDecoder | c2g.NotificationDecoder
     kinds: tuple[str, ...] = ("FULL_FIXED", "FULL_6D_FIXED")  # of packages with samples
 
     def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -168,6 +169,8 @@ class Capture2GoPort(OneSensorPort):
 class Capture2GoImu(Capture2GoPort):
     """:class:`~drivers.imu.port.ImuPort` for one Capture2Go on its USB line."""
 
+    baudrate = 115_200
+    decoder: type[c2g.Capture2GoDecoder | c2g.NotificationDecoder] = c2g.Capture2GoDecoder
     _line: Line
 
     def __init__(
@@ -177,8 +180,8 @@ class Capture2GoImu(Capture2GoPort):
         super().__init__(device, clock_ns)
 
     def _open(self) -> None:
-        self._decoder = c2g.Capture2GoDecoder(self._counts)
-        baudrate = whole_option(self._device, "baudrate", 115200, 1)
+        self._decoder = self.decoder(self._counts)
+        baudrate = whole_option(self._device, "baudrate", self.baudrate, 1)
         self._line = self._opener(self._device.sensor, self._device.port, baudrate)
         try:
             self._begin()
