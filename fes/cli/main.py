@@ -35,7 +35,7 @@ COMMANDS: Final = {
     "explain": ("fes.cli.explain", "Why a session did what it did at one instant: guards, walking, gate, tuning."),
     "report": ("fes.cli.report", "Write the report of a session log again."),
     "compare": ("fes.cli.compare", "Two session logs' differences, stride by stride."),
-    "convert": ("fes.cli.convert", "A session log as CSV, Parquet or MCAP, for other programs."),
+    "convert": ("fes.cli.convert", "A session log as CSV, Parquet, MCAP, C3D or BIDS, for other programs."),
     "anonymise": ("fes.cli.anonymise", "A session log without names, dates and ports; its replay is the same."),
     "recover": ("fes.cli.recover", "Repair a torn session log and say what was lost."),
     "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),

@@ -7,7 +7,7 @@ that the header had, without paths, and without what a person wrote.
 
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -106,6 +106,15 @@ def anonymise(
     text = bytes(said).decode("utf-8", "replace").casefold()
     left = tuple(each for each in secrets if len(each) >= SHORTEST and each.casefold() in text)
     return Anonymised(count, scrub.changed, change.marks, shift_ns, left)
+
+
+def scrubber(header: dict[str, Any], source: Path) -> Callable[[str], str]:
+    """What takes out of a text the names that the log's header has, paths and long numbers, as :func:`anonymise` does.
+
+    Raises:
+        ConfigError: the header's settings are not of this version; ``source`` is for the message.
+    """
+    return _Scrub(_secrets(header, _header(header, source, 0), ()))
 
 
 def _begin(source: Path) -> tuple[dict[str, Any], int]:
