@@ -39,7 +39,7 @@ REPEAT: Final = "Each fault so many times, each of its values once."
 @out_option("Results below.")
 @click.option("--hardware", type=PATH, help="Real devices, as in this session file.")
 @click.option("--calibration", type=PATH, help="Of the real sensors, or of --recording. Default: from that.")
-@click.option("--walked", is_flag=True, help="With --hardware: somebody walks with the sensors and stands by turns.")
+@click.option("--walking", is_flag=True, help="With --hardware: somebody walks with the sensors and stands by turns.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout: what hil.json holds, or the faults.")
 @click.option("--i-have-a-dummy-load", "dummy_load", is_flag=True, help="Nobody is connected to the stimulator.")
 def command(
@@ -54,7 +54,7 @@ def command(
     out: Path,
     hardware: Path | None,
     calibration: Path | None,
-    walked: bool,
+    walking: bool,
     dummy_load: bool,
     as_json: bool,
 ) -> None:
@@ -67,7 +67,7 @@ def command(
     out of a recording that `fes replay` can read.
 
     With --hardware the devices are real and STIMULATE: only into a dummy load, bursts triggered by hand, sensors at
-    rest unless they are --walked. Faults are the host's and, between driver and loop, the sensors'; the judge is what
+    rest unless they are --walking. Faults are the host's and, between driver and loop, the sensors'; the judge is what
     the stimulator says on its CAN bus, or else answers to the session.
 
     Exit code: 0 all as required, 1 a row is not, 2 unusable arguments or transport, 3 the campaign could not go on,
@@ -122,7 +122,7 @@ def command(
         unusable = failing(Unavailable, ConfigError, StimulatorLost, RecordingError, CalibrationError)
         with unusable, failing(CampaignBroken, kind=StoppedEarly):
             if hardware is not None and calibration is not None:
-                campaign = hardware_campaign(hardware, calibration, *todo, walked=walked)
+                campaign = hardware_campaign(hardware, calibration, *todo, walking=walking)
             else:
                 campaign = simulated_campaign(transport, *todo, channel, closed_loop, played, sensors)
     except KeyboardInterrupt:

@@ -445,11 +445,11 @@ def hardware_campaign(
     folder: Path,
     progress: Progress,
     *,
-    walked: bool = False,
+    walking: bool = False,
 ) -> Campaign:
     """Run these scenarios, which must be :func:`~fes.hil.devices.on_hardware`, on the devices of a session file.
 
-    ``walked``: somebody walks with the sensors and stands by turns; else they rest, and bursts are triggered by hand.
+    ``walking``: somebody walks with the sensors and stands by turns; else they rest, and bursts are triggered by hand.
 
     Raises:
         ConfigError: the settings cannot be used, or do not allow to tell a burst's end.
@@ -467,7 +467,9 @@ def hardware_campaign(
         imu = RealSensor(pulses=None if witness else session.stimulator.device in PULSE_BY_PULSE)
         stack.callback(imu.close)
         hardware = Hardware(folder, path, calibration, session.stimulation.intensity, imu, witness)
-        bench = CampaignBench(hardware, capabilities | ({Needs.MOVES} if walked else set()), stack, by_hand=not walked)
+        bench = CampaignBench(
+            hardware, capabilities | ({Needs.MOVES} if walking else set()), stack, by_hand=not walking
+        )
         return run_campaign(bench, f"hardware ({path.name})", scenarios, repeat, progress)
 
 

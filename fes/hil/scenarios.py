@@ -32,7 +32,7 @@ class Needs(StrEnum):
 
     SIMULATED = "simulated devices"
     SENSOR = "a sensor that can be given faults"
-    MOVES = "a sensor that moves: at rest this fault does not show (--walked)"
+    MOVES = "a sensor that moves: at rest this fault does not show (--walking)"
     HEARD = "a stimulator that others than the session hear (CAN)"
     CAN = "a simulated stimulator on CAN"
     LINK = "a line that can be cut"

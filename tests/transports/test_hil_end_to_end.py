@@ -197,7 +197,7 @@ def test_faults_come_between_a_real_driver_and_the_loop(stimulator: str, sensor:
     assert done.returncode in (OK, FAILED), done.stdout + done.stderr
     (folder,) = (tmp_path / "out").iterdir()
     rows = {row["name"]: row for row in json.loads((folder / "hil.json").read_text())["rows"]}
-    assert "--walked" in rows.pop("imu_rate_stuck")["failure_reason"]
+    assert "--walking" in rows.pop("imu_rate_stuck")["failure_reason"]
     killed = rows.pop("controller_killed")
     assert killed["attempts"] if stimulator == "can" else "(CAN)" in killed["failure_reason"]
     for name, row in rows.items():
@@ -215,7 +215,7 @@ def test_faults_come_between_a_real_driver_and_the_loop(stimulator: str, sensor:
 def test_a_fault_that_only_movement_shows_is_told_of_a_sensor_that_walks(tmp_path: Path) -> None:
     with devices("p24_low_level", "xbus", tmp_path, walks=True) as (settings, calibration):
         command = on_hardware(settings, calibration, tmp_path / "out", "imu_rate_scaled")
-        command += ["--i-have-a-dummy-load", "--walked"]
+        command += ["--i-have-a-dummy-load", "--walking"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode in (OK, FAILED), done.stdout + done.stderr
     (folder,) = (tmp_path / "out").iterdir()
