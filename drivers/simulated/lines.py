@@ -14,9 +14,9 @@ import select
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final, Generic, TypeVar
 
 from drivers.simulated.process_end import STDIN, CommandReader, fault_commands
 from drivers.simulated.stimulator.firmware import NEVER
@@ -190,60 +190,82 @@ class FaultValues(dict[str, float]):
         return meets
 
 
-class LineFaults:
-    """Messages in, the bytes that come out at the other end; no I/O, no clock."""
+Message = TypeVar("Message")
+
+
+class MessageFaults(Generic[Message]):
+    """Messages of any kind in, those that come out at the other end; no I/O, no clock."""
+
+    faults: ClassVar[frozenset[str]] = LINE_FAULTS - {"garble"}  # only bytes have bits
 
     def __init__(self) -> None:
-        self._values = FaultValues(dict.fromkeys(LINE_FAULTS, 0.0))
-        self._waiting: list[tuple[int, int, bytes]] = []
-        self._held = b""
-        self._backlog: list[bytes] = []
+        self._values = FaultValues(dict.fromkeys(self.faults, 0.0))
+        self._waiting: list[tuple[int, int, Message]] = []
+        self._held: list[Message] = []
+        self._backlog: list[Message] = []
         self._order = itertools.count()
 
     def set(self, name: str, value: float) -> None:
         """Bring a fault about, or with 0 end it. ValueError: no such fault, or a value below 0."""
-        if name not in LINE_FAULTS or not value >= 0:
-            known = ", ".join(sorted(LINE_FAULTS))
+        if name not in self.faults or not value >= 0:
+            known = ", ".join(sorted(self.faults))
             raise ValueError(f"fault {name!r} = {value!r} is not known; one of {known}, 0 or more")
         self._values[name] = value
 
-    def send(self, t_ns: int, messages: list[bytes]) -> None:
+    def send(self, t_ns: int, messages: Iterable[Message]) -> None:
         """The device sends these."""
         for message in messages:
             if self._values["mute"] or self._values.use_up("drop"):
                 continue
-            if self._values.use_up("garble"):
-                flipped = bytearray(message)
-                flipped[len(flipped) // 2] ^= 0x10
-                message = bytes(flipped)
+            message = self._on_its_way(message)
             if not self._held and self._values.use_up("reorder"):
-                self._held = message
+                self._held.append(message)
                 continue
             self._push(t_ns, message)
-            if self._held:
-                self._push(t_ns, self._held)
-                self._held = b""
+            while self._held:
+                self._push(t_ns, self._held.pop())
 
-    def due(self, t_ns: int) -> bytes:
+    def arrived(self, t_ns: int) -> list[Message]:
         """What has got through by now."""
-        out = b""
+        out: list[Message] = []
         if not self._values["backlog"] and self._backlog:
-            out, self._backlog = b"".join(self._backlog), []
+            out, self._backlog = self._backlog, []
         while self._waiting and self._waiting[0][0] <= t_ns:
-            out += heapq.heappop(self._waiting)[2]
+            out.append(heapq.heappop(self._waiting)[2])
         return out
 
     def next_deadline_ns(self) -> int:
-        """When :meth:`due` has something next."""
+        """When :meth:`arrived` has something next."""
         if self._backlog and not self._values["backlog"]:
             return 0
         return self._waiting[0][0] if self._waiting else NEVER
 
-    def _push(self, t_ns: int, message: bytes) -> None:
+    def _on_its_way(self, message: Message) -> Message:
+        """The message as it gets through."""
+        return message
+
+    def _push(self, t_ns: int, message: Message) -> None:
         if self._values["backlog"]:
             self._backlog.append(message)
             return
         heapq.heappush(self._waiting, (t_ns + int(self._values["delay"] * NS_PER_S), next(self._order), message))
+
+
+class LineFaults(MessageFaults[bytes]):
+    """The same for messages of bytes, which may have a bit flipped as well."""
+
+    faults = LINE_FAULTS
+
+    def due(self, t_ns: int) -> bytes:
+        """As :meth:`arrived`, in one."""
+        return b"".join(self.arrived(t_ns))
+
+    def _on_its_way(self, message: bytes) -> bytes:
+        if not self._values.use_up("garble"):
+            return message
+        flipped = bytearray(message)
+        flipped[len(flipped) // 2] ^= 0x10
+        return bytes(flipped)
 
 
 class Device(ABC):

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import can
 
 from drivers.imu.port import ImuLost
-from drivers.simulated.imu.device import LASTING
+from drivers.simulated.imu.faults import LASTING
 from drivers.simulated.imu.wire import SERIAL
 from drivers.simulated.lines import LINE_FAULTS
 from drivers.simulated.process_handle import ProcessHandle

@@ -18,7 +18,7 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.controller import SIGNALS
-from fes.hil.devices import TRANSPORTS, Unavailable, host_side_scenarios
+from fes.hil.devices import TRANSPORTS, Unavailable, on_hardware
 from fes.hil.results import Attempt, Campaign, Verdict, failure_reason, measured_times
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
 from fes.recording import RecordingError
@@ -35,10 +35,11 @@ REPEAT: Final = "Each fault so many times, each of its values once."
 @click.option("--closed-loop", is_flag=True, help="With a virtual patient, who feels what the stimulator delivers.")
 @click.option("--recording", type=PATH, help="The sensor plays a walk out of this recording.")
 @choice("--sensors", of=SENSOR_KINDS, help="Which simulated sensor is worn.")
-@click.option("--list", "listing", is_flag=True, help="List the faults and end.")
+@click.option("--list", "listing", is_flag=True, help="List the faults and end; [--hardware] on real devices too.")
 @out_option("Results below.")
 @click.option("--hardware", type=PATH, help="Real devices, as in this session file.")
 @click.option("--calibration", type=PATH, help="Of the real sensors, or of --recording. Default: from that.")
+@click.option("--walking", is_flag=True, help="With --hardware: somebody walks with the sensors and stands by turns.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout: what hil.json holds, or the faults.")
 @click.option("--i-have-a-dummy-load", "dummy_load", is_flag=True, help="Nobody is connected to the stimulator.")
 def command(
@@ -53,6 +54,7 @@ def command(
     out: Path,
     hardware: Path | None,
     calibration: Path | None,
+    walking: bool,
     dummy_load: bool,
     as_json: bool,
 ) -> None:
@@ -65,19 +67,29 @@ def command(
     out of a recording that `fes replay` can read.
 
     With --hardware the devices are real and STIMULATE: only into a dummy load, bursts triggered by hand, sensors at
-    rest, only the faults of the host's side; the judge is what the stimulator says on its CAN bus.
+    rest unless they are --walking. Faults are the host's and, between driver and loop, the sensors'; the judge is what
+    the stimulator says on its CAN bus, or else answers to the session.
 
     Exit code: 0 all as required, 1 a row is not, 2 unusable arguments or transport, 3 the campaign could not go on,
     130 interrupted.
     """
     if listing and as_json:
-        told = {s.name: {"fault": s.fault, "required": s.response, "deadline_ms": s.deadline_ms} for s in SCENARIOS}
+        told = {
+            s.name: {
+                "fault": s.fault,
+                "required": s.response,
+                "deadline_ms": s.deadline_ms,
+                "hardware": on_hardware(s),
+            }
+            for s in SCENARIOS
+        }
         print_json({"faults": told})
         return
     if listing:
         for scenario in SCENARIOS:
             deadline = "" if scenario.deadline_ms is None else f", within {scenario.deadline_ms:g} ms"
-            click.echo(f"{scenario.name:<22} {scenario.fault}: {scenario.response}{deadline}")
+            marked = " [--hardware]" if on_hardware(scenario) else ""
+            click.echo(f"{scenario.name:<22} {scenario.fault}: {scenario.response}{deadline}{marked}")
         return
     unknown = [name for name in only if name not in BY_NAME]
     if unknown:
@@ -94,15 +106,14 @@ def command(
             )
         if calibration is None:
             raise Problem("--hardware needs --calibration FILE, from `fes calibrate`.")
-        possible = host_side_scenarios()
-        if only and (refused := [scenario.name for scenario in scenarios if scenario not in possible]):
+        if only and (refused := [scenario.name for scenario in scenarios if not on_hardware(scenario)]):
             raise Problem(f"--only {', '.join(refused)}: needs simulated devices.")
-        scenarios = [scenario for scenario in scenarios if scenario in possible]
+        scenarios = list(filter(on_hardware, scenarios))
     played = None
     if recording is not None:
         with failing(RecordingError, ConfigError, CalibrationError):
-            walked, _, _, found = prepared(recording, None, calibration)
-        played = walked, found
+            whole, _, _, found = prepared(recording, None, calibration)
+        played = whole, found
     folder = fresh_folder(out, f"hil-{'hardware' if hardware else transport}").resolve()
     for number in SIGNALS:  # a shell's background job ignores SIGINT else
         signal.signal(number, signal.default_int_handler)
@@ -111,7 +122,7 @@ def command(
         unusable = failing(Unavailable, ConfigError, StimulatorLost, RecordingError, CalibrationError)
         with unusable, failing(CampaignBroken, kind=StoppedEarly):
             if hardware is not None and calibration is not None:
-                campaign = hardware_campaign(hardware, calibration, *todo)
+                campaign = hardware_campaign(hardware, calibration, *todo, walking=walking)
             else:
                 campaign = simulated_campaign(transport, *todo, channel, closed_loop, played, sensors)
     except KeyboardInterrupt:

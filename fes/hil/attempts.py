@@ -46,6 +46,7 @@ from fes.hil.results import (
     with_late_pulses,
 )
 from fes.hil.scenarios import Effect, Moment, Needs, Scenario
+from fes.hil.sensor_faults import PULSE_BY_PULSE, RealSensor
 from fes.hil.settings import CHANNEL, CURRENT_MA, DOSE_MC, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
@@ -437,21 +438,38 @@ def simulated_campaign(
 
 
 def hardware_campaign(
-    path: Path, calibration: Path, scenarios: Sequence[Scenario], repeat: int, folder: Path, progress: Progress
+    path: Path,
+    calibration: Path,
+    scenarios: Sequence[Scenario],
+    repeat: int,
+    folder: Path,
+    progress: Progress,
+    *,
+    walking: bool = False,
 ) -> Campaign:
-    """Run these scenarios, which must be of the host's side, on the devices of a session file.
+    """Run these scenarios, which must be :func:`~fes.hil.devices.on_hardware`, on the devices of a session file.
+
+    ``walking``: somebody walks with the sensors and stands by turns; else they rest, and bursts are triggered by hand.
 
     Raises:
-        ConfigError: the settings cannot be used, or nobody but the controller can hear the stimulator.
+        ConfigError: the settings cannot be used, or do not allow to tell a burst's end.
         BusError: the bus cannot be opened.
         CampaignBroken: three attempts in a row could not even be made.
     """
     session = hardware_session(path)
+    capabilities = machine_capabilities() | {Needs.SENSOR, Needs.REALS, Needs.UNSOUND}
     with ExitStack() as stack:
-        witness = BusWitness(stack.enter_context(Rogue(session.bus)))
-        witness.start(stack)
-        hardware = Hardware(folder, path, calibration, session.stimulation.intensity, witness)
-        bench = CampaignBench(hardware, machine_capabilities(), stack, by_hand=True)
+        witness = None
+        if session.stimulator.device == "can":
+            witness = BusWitness(stack.enter_context(Rogue(session.bus)))
+            witness.start(stack)
+            capabilities |= {Needs.HEARD}
+        imu = RealSensor(pulses=None if witness else session.stimulator.device in PULSE_BY_PULSE)
+        stack.callback(imu.close)
+        hardware = Hardware(folder, path, calibration, session.stimulation.intensity, imu, witness)
+        bench = CampaignBench(
+            hardware, capabilities | ({Needs.MOVES} if walking else set()), stack, by_hand=not walking
+        )
         return run_campaign(bench, f"hardware ({path.name})", scenarios, repeat, progress)
 
 

@@ -109,6 +109,10 @@ class ScriptedOperator:
 LONGEST_S: Final = 3600
 _WITH_PARENT: Final = "from fes.live.processes import interrupted_with; interrupted_with({}); "
 _START: Final = "from fes.cli import main; main(prog_name='fes')"
+_FAULTED: Final = (
+    "from fes.hil.sensor_faults import InjectedFaults; from fes.cli import main; "
+    "main(prog_name='fes', obj=InjectedFaults({}))"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,11 +159,19 @@ class ControllerProcess:
 
     Should this process be killed, the session is interrupted as by SIGTERM, where the system tells it (Linux). The
     folder holds its results, its socket (``control``) and its stop file (``stop``). ``view``: with the terminal view;
-    ``page``: with the live page.
+    ``page``: with the live page. ``faults``: the session's end of a link by which its sensors' faults are ordered;
+    it is closed here.
     """
 
     def __init__(
-        self, settings: Path, calibration: Path, folder: Path, *, view: bool = False, page: bool = False
+        self,
+        settings: Path,
+        calibration: Path,
+        folder: Path,
+        *,
+        view: bool = False,
+        page: bool = False,
+        faults: socket.socket | None = None,
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -168,7 +180,8 @@ class ControllerProcess:
         self.control.unlink(missing_ok=True)
         self.stop_file.unlink(missing_ok=True)
         reading, self._keys = os.pipe()
-        program = _WITH_PARENT.format(os.getpid()) + _START
+        handed = [reading] if faults is None else [reading, faults.fileno()]
+        program = _WITH_PARENT.format(os.getpid()) + (_START if faults is None else _FAULTED.format(faults.fileno()))
         command = [sys.executable, "-c", program, "run", str(settings), "--out", str(folder)]
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
@@ -177,9 +190,11 @@ class ControllerProcess:
         self._output = (folder / "said.txt").open("a+", encoding="utf-8")
         try:
             said: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._output, "stderr": self._output}
-            self.process = subprocess.Popen(command, pass_fds=(reading,), start_new_session=True, **said)
+            self.process = subprocess.Popen(command, pass_fds=handed, start_new_session=True, **said)
         finally:
             os.close(reading)
+            if faults is not None:
+                faults.close()
 
     @property
     def alive(self) -> bool:

@@ -1,7 +1,8 @@
 """What a campaign runs against: simulated devices on one transport, or the real devices of a session file.
 
-With real devices only faults of the host's side are brought about, and the stimulator must be on CAN: a second receiver
-on its bus hears what it says it delivers. On a serial line an oscilloscope at the electrodes must be the judge.
+With real devices faults of the host's side are brought about, and the sensors' between their drivers and the loop. A
+second receiver on its bus hears what a stimulator on CAN says it delivers. Of another kind nobody but the session hears
+that: what it makes of the answers is the judge, of faults of which neither it nor its supervisor dies or stands still.
 """
 
 from __future__ import annotations
@@ -36,9 +37,12 @@ from fes.calibration.recording import SensorCalibrations
 from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session
 from fes.hil.closed_loop.bench import PatientHandle, PatientSensor, campaign_patient
 from fes.hil.recorded_walker import recorded_walker
-from fes.hil.scenarios import SCENARIOS, Needs, Scenario
+from fes.hil.results import PERIOD_NS
+from fes.hil.scenarios import Needs, Scenario
+from fes.hil.sensor_faults import PULSE_BY_PULSE, RealSensor
 from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, STANDS_S, Walker, session_text, walker
 from fes.recording import Recording
+from fes.signals import NS_PER_S
 
 TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
 SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
@@ -50,7 +54,7 @@ SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
 REALS: Final = ("xbus", "ximu3")  # sensors that send floating point
 Sensor = ImuHandle | PatientSensor
 PlayedRecording = tuple[Recording, SensorCalibrations]
-WITHOUT_DEVICES: Final = ("imu_", "stamp", "clock", "stale", "commands", "random", "phase", "dose", "view", "page")
+WATCHED: Final = ("view", "page")  # of the host's side as well, but nobody watches real devices
 _ENDED_BY: Final = {Result.LEASE_EXPIRED: "lease_expired", Result.ON_TIME: "on_time"}
 
 
@@ -217,7 +221,7 @@ def start_devices(
     button_bus = None if transport == "slcan" else free_bus() if front is None else front
     serial = transport in SERIAL
     capabilities = {
-        Needs.SIMULATED: True,
+        **dict.fromkeys((Needs.SIMULATED, Needs.SENSOR, Needs.MOVES, Needs.HEARD), True),
         Needs.SERIAL: serial,
         Needs.CAN: not serial,
         Needs.LINK: serial or link is not None,
@@ -266,49 +270,53 @@ def _stimulator(
     return front, back, link, node, StimulatorDevice()
 
 
-def host_side_scenarios() -> list[Scenario]:
-    """The rows that need no simulated device."""
-    return [
-        scenario
-        for scenario in SCENARIOS
-        if Needs.SIMULATED not in scenario.needs and not scenario.name.startswith(WITHOUT_DEVICES)
-    ]
+def on_hardware(scenario: Scenario) -> bool:
+    """Whether this row can be brought about on real devices."""
+    return Needs.SIMULATED not in scenario.needs and not scenario.name.startswith(WATCHED)
 
 
 def hardware_session(path: Path) -> Session:
     """The settings, if a campaign can judge them.
 
     Raises:
-        ConfigError: they cannot be used, or nobody but the controller can hear the stimulator.
+        ConfigError: they cannot be used, or do not allow to tell a burst's end.
     """
     session = load_session(path)
-    if session.stimulator.device != "can":
-        raise ConfigError(
-            f"{path}: stimulator.device = {session.stimulator.device!r}: nobody but the controller hears it, so "
-            f"its end of the line cannot be judged. Use a stimulator on CAN, or an oscilloscope at a dummy load"
-        )
     if not session.channels:
         raise ConfigError(f"{path}: channels are missing; there is nothing to stimulate")
+    if session.stimulator.device in PULSE_BY_PULSE:
+        least_hz = NS_PER_S / PERIOD_NS
+        for channel in session.channels:
+            if channel.frequency_hz < least_hz:
+                raise ConfigError(
+                    f"{path}: channel {channel.name!r}: frequency_hz = {channel.frequency_hz:g}: with device "
+                    f"{session.stimulator.device!r} a pause between two pulses under {least_hz:.0f} Hz counts as an end"
+                )
     return session
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """Real devices as a campaign's bench."""
+    """Real devices as a campaign's bench; ``witness``: a second receiver on the stimulator's bus."""
 
     folder: Path
     path: Path
     calibration: Path
     intensity: float
-    witness: BusWitness
+    imu: RealSensor
+    witness: BusWitness | None = None
 
     def session_file(self, number: int, variant: str) -> Path:
         """The one that there is."""
         return self.path
 
     def new_entries(self) -> list[RecordEntry]:
-        """What the stimulator said on the bus since the last call."""
-        return self.witness.new_entries()
+        """What the stimulator said since the last call: on the bus, or to the session."""
+        return self.imu.new_entries() if self.witness is None else self.witness.new_entries()
+
+    def sensor_replugged(self) -> None:
+        """Its line can be opened again."""
+        self.imu.inject("unplug", 0.0)
 
     @staticmethod
     def processes() -> list[int]:

@@ -132,36 +132,36 @@ def _after(seconds: float, heal: Heal) -> Heal:
 
 def _clear(bench: CampaignBench) -> None:
     """End the sensor's faults that last."""
-    bench.devices.imu.clear()
+    bench.equipment.imu.clear()
 
 
 def _sensor(name: str, value: float = 1.0) -> Inject:
-    return lambda bench, n: bench.devices.imu.inject(name, value)
+    return lambda bench, n: bench.equipment.imu.inject(name, value)
 
 
 def _axis_stuck(first: int) -> Inject:
     """The axis that the attempt's value names holds its value, with noise: 1 is the triad's first."""
-    return lambda bench, n: bench.devices.imu.inject("held_alive", 1 << (first + round(bench.value) - 1))
+    return lambda bench, n: bench.equipment.imu.inject("held_alive", 1 << (first + round(bench.value) - 1))
 
 
 def _late(bench: CampaignBench, n: int) -> int:
     """Samples come late, and say that they are not."""
-    t_ns = bench.devices.imu.inject("delay", bench.value)
-    bench.devices.imu.inject("jump", bench.value)
+    t_ns = bench.equipment.imu.inject("delay", bench.value)
+    bench.equipment.imu.inject("jump", bench.value)
     return t_ns
 
 
 def _backlog(bench: CampaignBench, n: int) -> int:
     """What the sensor's buffer has held back for the attempt's time comes all at once, as after bad reception."""
-    t_ns = bench.devices.imu.inject("backlog")
+    t_ns = bench.equipment.imu.inject("backlog")
     bench.observe(bench.value)
-    bench.devices.imu.inject("backlog", 0.0)
+    bench.equipment.imu.inject("backlog", 0.0)
     return t_ns
 
 
 def _times(name: str) -> Inject:
     """One triad's values times the attempt's."""
-    return lambda bench, n: bench.devices.imu.inject(name, bench.value)
+    return lambda bench, n: bench.equipment.imu.inject(name, bench.value)
 
 
 def _stimulator(name: str, value: float, off: float) -> tuple[Inject, Heal]:
@@ -301,7 +301,7 @@ def _mend(bench: CampaignBench) -> None:
 
 INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_silent": (_sensor("mute"), _after(SILENT_S, _clear)),
-    "imu_unplugged": (_sensor("unplug"), _after(SILENT_S, lambda bench: bench.devices.sensor_replugged())),
+    "imu_unplugged": (_sensor("unplug"), _after(SILENT_S, lambda bench: bench.equipment.sensor_replugged())),
     "imu_frozen": (_sensor("stuck"), _clear),
     "imu_force_frozen": (_sensor("held", 7), _clear),
     "imu_rate_frozen": (_sensor("held", 56), _clear),
@@ -316,7 +316,7 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_backlog": (_backlog, _clear),
     "imu_nan": (_sensor("nan", MANY), _clear),
     "imu_inf": (_sensor("inf", MANY), _clear),
-    "imu_unsound": (_sensor("unsound", MANY), lambda bench: bench.devices.imu.inject("unsound", 0.0)),
+    "imu_unsound": (_sensor("unsound", MANY), lambda bench: bench.equipment.imu.inject("unsound", 0.0)),
     "imu_saturated": (_sensor("full"), _clear),
     "imu_remounted": (_sensor("axes"), _clear),
     "axis_reversed": (_at_once(_nothing), _nothing),
@@ -329,8 +329,8 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "stamps_order": (_sensor("reorder", MANY), _clear),
     "stamps_jumping": (_sensor("jumping", 0.2), _clear),
     "clock_jump": (_sensor("jump", 0.5), _clear),
-    "clock_drift": (_sensor("drift", 100.0), lambda bench: bench.devices.imu.inject("drift", 0.0)),
-    "stale_data": (lambda bench, n: bench.devices.imu.inject("delay", bench.value), _clear),
+    "clock_drift": (_sensor("drift", 100.0), lambda bench: bench.equipment.imu.inject("drift", 0.0)),
+    "stale_data": (lambda bench, n: bench.equipment.imu.inject("delay", bench.value), _clear),
     "cpu_hogs": (_hogs, lambda bench: bench.observe(HOGS_S - 1.5)),
     "controller_killed": (_kill, _nothing),
     "controller_stopped": (_stop, _nothing),

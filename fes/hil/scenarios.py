@@ -31,6 +31,9 @@ class Needs(StrEnum):
     """What a row asks of the devices and the machine."""
 
     SIMULATED = "simulated devices"
+    SENSOR = "a sensor that can be given faults"
+    MOVES = "a sensor that moves: at rest this fault does not show (--walking)"
+    HEARD = "a stimulator that others than the session hear (CAN)"
     CAN = "a simulated stimulator on CAN"
     LINK = "a line that can be cut"
     SLCAN = "a serial CAN adapter"
@@ -45,9 +48,12 @@ class Needs(StrEnum):
 
 _NONE = frozenset[Needs]()
 _SIM = frozenset((Needs.SIMULATED,))
+_IMU = frozenset((Needs.SENSOR,))
+_MOVING = _IMU | {Needs.MOVES}
 _CAN, _LINK, _SLCAN = _SIM | {Needs.CAN}, _SIM | {Needs.LINK}, _SIM | {Needs.SLCAN}
-_REALS = _SIM | {Needs.REALS}
+_REALS = _IMU | {Needs.REALS}
 _FIFO, _PROC = frozenset((Needs.FIFO,)), frozenset((Needs.PROC,))
+_HEARD = frozenset((Needs.HEARD,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +80,7 @@ class Scenario:
     _: KW_ONLY
     response: str = "off, latched, named"
     effect: Effect = Effect.LATCHED
-    needs: frozenset[Needs] = _SIM
+    needs: frozenset[Needs] = _IMU
     variant: str = ""
     restart: bool = False
     watch_s: float = 1.5
@@ -102,7 +108,7 @@ class Scenario:
 
 
 def _harmless(
-    name: str, fault: str, response: str = "no effect", needs: frozenset[Needs] = _SIM, variant: str = ""
+    name: str, fault: str, response: str = "no effect", needs: frozenset[Needs] = _IMU, variant: str = ""
 ) -> Scenario:
     return Scenario(name, fault, None, response=response, effect=Effect.NONE, needs=needs, variant=variant)
 
@@ -119,7 +125,8 @@ def _stop(name: str, by: str, needs: frozenset[Needs] = _NONE, variant: str = ""
 
 def _ends(name: str, fault: str) -> Scenario:
     response = "session ends with an alarm; the log is readable, at most 250 ms lost"
-    return Scenario(name, fault, 1000, response=response, effect=Effect.ENDED, needs=_PROC, restart=True, watch_s=0.5)
+    needs = _PROC | _HEARD
+    return Scenario(name, fault, 1000, response=response, effect=Effect.ENDED, needs=needs, restart=True, watch_s=0.5)
 
 
 _LEASE = "the stimulator's lease"
@@ -138,15 +145,18 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_frozen", "sensor repeats one value", 100, "frozen"),
     Scenario("imu_force_frozen", "accelerometer frozen, gyroscope not", 100, "accelerometer is frozen"),
     Scenario("imu_rate_frozen", "gyroscope frozen, accelerometer not", 100, "gyroscope is frozen"),
-    Scenario("imu_force_dead", "accelerometer holds one value, with noise", 1500, "feel it|do not fit|gravity"),
-    Scenario("imu_rate_stuck", "gyroscope holds one value, with noise", 1500, "feel it|do not fit|dangle"),
+    Scenario("imu_force_dead", "accelerometer holds one value, with noise", 1500, "feel it|do not fit|gravity",
+             needs=_MOVING),
+    Scenario("imu_rate_stuck", "gyroscope holds one value, with noise", 1500, "feel it|do not fit|dangle",
+             needs=_MOVING),
     Scenario("imu_force_axis_stuck", "accelerometer's axis 1, 2, 3 holds one value, with noise", 1500, _CONTRADICTS,
-             values=(1.0, 2.0, 3.0)),
+             values=(1.0, 2.0, 3.0), needs=_MOVING),
     Scenario("imu_rate_axis_stuck", "gyroscope's axis 1, 2, 3 holds one value, with noise", 1500, _CONTRADICTS,
-             values=(1.0, 2.0, 3.0)),
+             values=(1.0, 2.0, 3.0), needs=_MOVING),
     Scenario("imu_force_scaled", "accelerometer × 0.5, 0.8, 1.25, 2", 1500, _CONTRADICTS + "|unit|take",
-             values=(0.5, 0.8, 1.25, 2.0)),
-    Scenario("imu_rate_scaled", "gyroscope × 0.5, 2", 1500, _CONTRADICTS + "|unit|take", values=(0.5, 2.0)),
+             values=(0.5, 0.8, 1.25, 2.0), needs=_MOVING),
+    Scenario("imu_rate_scaled", "gyroscope × 0.5, 2", 1500, _CONTRADICTS + "|unit|take", values=(0.5, 2.0),
+             needs=_MOVING),
     Scenario("imu_dangling", "sensor hangs from its cable and swings", 1500, _CONTRADICTS + "|remounted"),
     Scenario("imu_late", "samples late by 0.3, 0.6 s, their stamps shifted by as much", 100, _LATE,
              values=(0.3, 0.6), unit="s"),
@@ -155,13 +165,13 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_nan", "NaN in the sensor's values", 100, "non-finite", needs=_REALS),
     Scenario("imu_inf", "infinite values", 100, "non-finite", needs=_REALS),
     Scenario("imu_unsound", "sensor says that its processing failed", 100, "non-finite",
-             needs=_SIM | {Needs.UNSOUND}),
+             needs=_IMU | {Needs.UNSOUND}),
     Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit|feel it"),
-    Scenario("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
+    Scenario("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take", needs=_MOVING),
     Scenario("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
     Scenario("imu_remounted", "sensor remounted, axes exchanged: while standing, armed", None, "remounted|calibration",
              response="no burst begins; arming refused, with the reason", effect=Effect.SILENT, watch_s=3.0),
-    Scenario("axis_reversed", "calibration with its axis reversed", None, "in disorder", variant="reversed",
+    Scenario("axis_reversed", "calibration with its axis reversed", None, "in disorder", variant="reversed", needs=_SIM,
              response="named within five strides; from then on no burst begins", effect=Effect.UNSEEN, watch_s=5.0),
     Scenario("imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100,
              "remounted|calibration|unit|frozen"),
@@ -177,14 +187,15 @@ _ROWS: Final[tuple[Scenario, ...]] = (
              values=(0.06, 0.1, 0.2, 0.5), unit="s"),
     _harmless("cpu_hogs", "three busy processes", "no effect under SCHED_FIFO", _FIFO),
     Scenario("controller_killed", "controller kill -9", 65, response=_LEASE + "; its other processes end within 3 s",
-             needs=_NONE, variant="seen", restart=True, watch_s=1.3),
-    Scenario("controller_stopped", "controller SIGSTOP for 0.2, 1, 5 s", 65, _HELD_UP, response=_STAYS, needs=_NONE,
+             needs=_HEARD, variant="seen", restart=True, watch_s=1.3),
+    Scenario("controller_stopped", "controller SIGSTOP for 0.2, 1, 5 s", 65, _HELD_UP, response=_STAYS, needs=_HEARD,
              values=(0.2, 1.0, 5.0), unit="s"),
-    Scenario("controller_starved", "controller without processor for 1 s", 65, _HELD_UP, response=_STAYS, needs=_FIFO),
+    Scenario("controller_starved", "controller without processor for 1 s", 65, _HELD_UP, response=_STAYS,
+             needs=_FIFO | _HEARD),
     Scenario("supervisor_killed", "supervisor kill -9", 65, "supervisor",
-             response=_LEASE + "; only a new session goes on", needs=_PROC, restart=True),
+             response=_LEASE + "; only a new session goes on", needs=_PROC | _HEARD, restart=True),
     Scenario("supervisor_stopped", "supervisor SIGSTOP for 0.2, 1, 5 s", 65, "supervisor",
-             response=_OPENED, needs=_PROC, values=(0.2, 1.0, 5.0), unit="s"),
+             response=_OPENED, needs=_PROC | _HEARD, values=(0.2, 1.0, 5.0), unit="s"),
     Scenario("link_lost", "line to the stimulator lost and back", 65, response=_OPENED, needs=_LINK),
     Scenario("adapter_unplugged", "CAN adapter unplugged, plugged in again", 65, "lost|stimulator", response=_OPENED,
              needs=_SLCAN),
@@ -194,11 +205,11 @@ _ROWS: Final[tuple[Scenario, ...]] = (
              "stalled|late|answer|lost|old|lease expired",
              response="off by lease; latched when it takes commands again", needs=_SLCAN),
     Scenario("node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator",
-             response="comes up off; off"),
-    Scenario("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response=_RETRY),
-    Scenario("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response=_RETRY),
+             response="comes up off; off", needs=_SIM),
+    Scenario("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response=_RETRY, needs=_SIM),
+    Scenario("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response=_RETRY, needs=_SIM),
     Scenario("delivered_differs", "delivers half of what it is told", 100, "delivered", needs=_CAN),
-    Scenario("electrode", "electrode or lead open", 100, "electrode|output|lead"),
+    Scenario("electrode", "electrode or lead open", 100, "electrode|output|lead", needs=_SIM),
     _refused("commands_flipped", "a valid command with every 1 and 2 bits flipped"),
     _refused("commands_repeated", "valid commands repeated, 0 to 40 commands late"),
     _refused("commands_reordered", "ten pairs of commands exchanged on the way", _CAN | _LINK),
@@ -217,7 +228,7 @@ _ROWS: Final[tuple[Scenario, ...]] = (
              needs=_SIM | {Needs.LONG_STAND},
              response="the burst ends at its longest on-time, 3 s"),
     Scenario("dose", "more charge a minute than allowed", None, "mC within a minute", effect=Effect.DOSED,
-             variant="dose", response="no more than the limit a minute, off, latched"),
+             variant="dose", needs=_SIM, response="no more than the limit a minute, off, latched"),
     _ends("disk_full", "disk full"),
     _ends("log_writer_killed", "log writer kill -9"),
     _ends("log_removed", "log file removed"),
@@ -241,7 +252,8 @@ _LIES: Final = (
 def _at(row: Scenario, moment: Moment) -> Scenario:
     """The same lie of a sensor, where no current flows: told within a stride of the foot's moving."""
     name = f"{row.name}_{moment.name.lower()}"
-    return replace(row, name=name, fault=f"{row.fault}, {moment}", deadline_ms=1500, moment=moment)
+    needs = row.needs | _SIM  # a wearer who does as told
+    return replace(row, name=name, fault=f"{row.fault}, {moment}", deadline_ms=1500, moment=moment, needs=needs)
 
 
 SCENARIOS: Final = _ROWS + tuple(

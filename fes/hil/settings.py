@@ -219,7 +219,8 @@ def _sensor_text(
 def _stimulator_text(stimulator: StimulatorDevice | None, bus: Bus | None) -> str:
     tables: dict[str, Any] = {}
     if stimulator is not None:
-        tables["stimulator"] = {"device": stimulator.device, "port": stimulator.port or None}
+        options = stimulator.options or None
+        tables["stimulator"] = {"device": stimulator.device, "port": stimulator.port or None, "options": options}
     if bus is not None:
         tables["bus"] = {"interface": bus.interface, "channel": bus.channel, "options": bus.options or None}
     return "\n" + toml_text(tables) if tables else ""

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.simulated.bus_guests import Rogue, StopButton, flipped, random_frames
+from drivers.simulated.bus_guests import StopButton, flipped, random_frames
 from drivers.simulated.can_link import LinkLoop, SlcanDecoder, SlcanFront, encode_frame, waiting_frames
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.imu.wire import LSL_RECORD, LslWire
@@ -39,7 +39,7 @@ from fes.hil.attempts import refusal_attempt
 from fes.hil.baseline import Baseline, Lateness
 from fes.hil.campaign_bench import CampaignBench
 from fes.hil.controller import Child, ScriptedOperator
-from fes.hil.devices import TRANSPORTS, BusWitness, Devices, Hardware, set_link
+from fes.hil.devices import TRANSPORTS, Devices, Hardware, set_link
 from fes.hil.injections import INJECTIONS
 from fes.hil.results import (
     MS,
@@ -58,6 +58,7 @@ from fes.hil.results import (
     with_late_pulses,
 )
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
+from fes.hil.sensor_faults import RealSensor
 from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, Walker, session_text
 from fes.live.status import Status
 from fes.signals import StimCommand
@@ -341,9 +342,7 @@ def test_a_machine_that_was_away_is_no_success() -> None:
 
 
 def test_lost_time_counts_as_the_machines_only_where_an_idle_loop_lost_it_too() -> None:
-    bench = CampaignBench(
-        Hardware(Path(), Path(), Path(), 1.0, BusWitness(Rogue(Bus(interface="virtual")))), frozenset(), ExitStack()
-    )
+    bench = CampaignBench(Hardware(Path(), Path(), Path(), 1.0, RealSensor(pulses=False)), frozenset(), ExitStack())
     assert not bench.was_away("controller stalled for 51 ms", 0, 10**12)
     bench.gaps = lambda since_ns: [(1000 * MS, 50.0)]
     assert bench.was_away("controller stalled for 51 ms", 1040 * MS, 1100 * MS)

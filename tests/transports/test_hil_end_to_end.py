@@ -8,17 +8,29 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from campaigns import HELD_UP_MS, faults_but_lost_time
 from replays import FES
 
-from drivers.simulated.spawn import free_bus, spawn_imu, spawn_node, why_silent
+from drivers.simulated.spawn import (
+    DeviceKind,
+    ImuKind,
+    free_bus,
+    spawn_device,
+    spawn_imu,
+    spawn_node,
+    why_silent,
+)
 from fes.cli.common.exits import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
 from fes.hil.results import MS, PERIOD_NS
-from fes.hil.settings import FOOT, RATE_HZ, session_text, walker
+from fes.hil.settings import FOOT, RATE_HZ, STANDS_S, session_text, walker
+from fes.session_log import read_session
 
 SHORT = ("imu_silent", "controller_killed")
 
@@ -97,21 +109,56 @@ def test_interrupted_it_ends_all_its_processes(tmp_path: Path) -> None:
     assert gone(tmp_path) == []
 
 
+@contextmanager
+def devices(stimulator: str, sensor: ImuKind, folder: Path, *, walks: bool = False) -> Iterator[tuple[Path, Path]]:
+    """Devices started by somebody else stand for real ones, for their drivers open them; session file, calibration."""
+    bus = free_bus("loopback") if stimulator in ("can", "canopen") else None
+    if bus is not None and (why := why_silent(bus)):
+        pytest.skip(f"no loopback multicast on this machine: {why}")
+    walked = walker(folder)
+    options: dict[str, Any] = {"accept_watchdog_s": 2.0} if stimulator == "p24_mid_level" else {}
+    with ExitStack() as stack:
+        port = ""
+        if stimulator == "can":
+            stack.enter_context(spawn_node(bus=bus))
+        elif stimulator == "canopen":
+            pytest.importorskip("canopen", reason="the extra canopen is not installed")
+            from drivers.simulated.stimulator import canopen
+
+            assert bus is not None
+            command = [sys.executable, "-m", canopen.__name__, "--port", str(bus.options["port"]), "--node-id", "5"]
+            node = stack.enter_context(
+                subprocess.Popen([*command, "--channel", bus.channel], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            )
+            stack.callback(node.kill)
+            assert node.stdout is not None
+            assert json.loads(node.stdout.readline())["ready"]
+            options = {
+                "node_id": 5, "current_index": canopen.CURRENT_INDEX, "width_index": canopen.WIDTH_INDEX,
+                "current_step_ma": canopen.CURRENT_STEP_MA, "width_step_us": canopen.WIDTH_STEP_US,
+                "max_current_ma": 100.0, "max_width_us": 500.0, "heartbeat_ms": canopen.HEARTBEAT_MS,
+            }  # fmt: skip
+        else:
+            kind: DeviceKind = "sciencemode2" if stimulator == "rehastim2" else "sciencemode4"
+            port = stack.enter_context(spawn_device(kind)).port
+        imu = stack.enter_context(spawn_imu(sensor, sensor=FOOT, recording=walked.recording, rate_hz=RATE_HZ))
+        imu.inject("stand", 0.0 if walks else STANDS_S)
+        device = StimulatorDevice.model_validate({"device": stimulator, "port": port, "options": options})
+        settings = folder / "real.toml"
+        settings.write_text(session_text("", imu.port, bus, device, sensors=sensor))
+        yield settings, walked.calibration
+
+
+def on_hardware(settings: Path, calibration: Path, out: Path, *names: str) -> list[str]:
+    command = [*FES, "hil", "--hardware", str(settings), "--calibration", str(calibration), "--out", str(out)]
+    return [*command, *(f"--only={name}" for name in names)]
+
+
 @pytest.mark.slow
 def test_with_real_devices_it_wants_a_dummy_load_and_judges_by_what_the_bus_says(tmp_path: Path) -> None:
-    """Devices started by somebody else stand for real ones; the witness is a second receiver on their bus."""
-    bus = free_bus("loopback")
-    if why := why_silent(bus):
-        pytest.skip(f"no loopback multicast on this machine: {why}")
-    walked = walker(tmp_path)
-    with (
-        spawn_node(bus=bus),
-        spawn_imu("xbus", sensor=FOOT, recording=walked.recording, rate_hz=RATE_HZ) as imu,
-    ):
-        settings = tmp_path / "real.toml"
-        settings.write_text(session_text("", imu.port, bus, StimulatorDevice()))
-        command = [*FES, "hil", "--hardware", str(settings), "--calibration", str(walked.calibration)]
-        command += ["--out", str(tmp_path / "out"), "--only", "stop_control", "--only", "controller_stopped"]
+    """The witness is a second receiver on their bus."""
+    with devices("can", "xbus", tmp_path) as (settings, calibration):
+        command = on_hardware(settings, calibration, tmp_path / "out", "stop_control", "controller_stopped")
         refused = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert refused.returncode == UNUSABLE
         assert "dummy load" in refused.stderr
@@ -127,3 +174,53 @@ def test_with_real_devices_it_wants_a_dummy_load_and_judges_by_what_the_bus_says
         for attempt in row["attempts"]:
             assert faults_but_lost_time(attempt["named"], attempt["faults"]) == [], done.stderr
             assert 0.0 < attempt["off_ms"] < 200.0
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("SR-31")
+@pytest.mark.parametrize(
+    ("stimulator", "sensor"),
+    [
+        ("can", "xbus"),
+        ("canopen", "ximu3"),
+        ("p24_low_level", "capture2go"),
+        ("p24_mid_level", "xbus"),
+        ("rehastim2", "ximu3"),
+    ],
+)
+def test_faults_come_between_a_real_driver_and_the_loop(stimulator: str, sensor: ImuKind, tmp_path: Path) -> None:
+    """With every stimulator's protocol it is measured when current ends: by its answers; on CAN others hear them."""
+    names = ("imu_unplugged", "imu_frozen", "imu_rate_stuck", "imu_nan", "controller_killed")
+    with devices(stimulator, sensor, tmp_path) as (settings, calibration):
+        command = [*on_hardware(settings, calibration, tmp_path / "out", *names), "--i-have-a-dummy-load"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode in (OK, FAILED), done.stdout + done.stderr
+    (folder,) = (tmp_path / "out").iterdir()
+    rows = {row["name"]: row for row in json.loads((folder / "hil.json").read_text())["rows"]}
+    assert "--walking" in rows.pop("imu_rate_stuck")["failure_reason"]
+    killed = rows.pop("controller_killed")
+    assert killed["attempts"] if stimulator == "can" else "(CAN)" in killed["failure_reason"]
+    for name, row in rows.items():
+        (attempt,) = row["attempts"]
+        print(stimulator, sensor, name, attempt)
+        assert faults_but_lost_time(attempt["named"], attempt["faults"]) == [], done.stderr
+        assert 0.0 <= attempt["off_ms"] < 300.0
+    session = read_session(next((folder / "run1").glob("**/session.feslog")))
+    assert session.header["faults_injected"] is True
+    assert any("FAULTS OF THE SENSORS ARE INJECTED" in note.text for note in session.notes)
+    assert "FAULTS OF THE SENSORS ARE INJECTED" in (folder / "run1" / "said.txt").read_text()
+
+
+@pytest.mark.slow
+def test_a_fault_that_only_movement_shows_is_told_of_a_sensor_that_walks(tmp_path: Path) -> None:
+    with devices("p24_low_level", "xbus", tmp_path, walks=True) as (settings, calibration):
+        command = on_hardware(settings, calibration, tmp_path / "out", "imu_rate_scaled")
+        command += ["--i-have-a-dummy-load", "--walking"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode in (OK, FAILED), done.stdout + done.stderr
+    (folder,) = (tmp_path / "out").iterdir()
+    (row,) = json.loads((folder / "hil.json").read_text())["rows"]
+    assert len(row["attempts"]) == 2
+    for attempt in row["attempts"]:
+        assert faults_but_lost_time(attempt["named"], attempt["faults"]) == [], done.stderr
+        assert 0.0 <= attempt["off_ms"] < row["deadline_ms"] + HELD_UP_MS

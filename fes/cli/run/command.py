@@ -103,6 +103,9 @@ def serials_of(streams: Streams) -> dict[str, str]:
 SOCKET_NAME = "control.sock"
 FES = "from fes.cli.main import main; main(prog_name='fes')"
 STOP_NAME = "stop"
+FAULTS_INJECTED = (
+    "FAULTS OF THE SENSORS ARE INJECTED, by `fes hil --hardware`: into a dummy load only, nobody connected"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +156,8 @@ def live_options(command: Command) -> Command:
     help="Legs whose sensors sit as named; else arming asks.",
 )
 @live_options
-def command(session: Path, **options: Any) -> None:
+@click.pass_obj
+def command(faults: devices.SensorFaults | None, /, session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
 
     Nothing is stimulated until you arm it by hand (a) and raise the intensity (+), which starts at 0. SPACE stops at
@@ -162,10 +166,10 @@ def command(session: Path, **options: Any) -> None:
     Exit code: 0 ended as asked, 2 unusable settings or devices, 3 stopped early, 4 a fault of fes itself, 130
     interrupted.
     """
-    run_session(session, Options(**options))
+    run_session(session, Options(**options), faults)
 
 
-def run_session(path: Path, options: Options) -> Path:
+def run_session(path: Path, options: Options, faults: devices.SensorFaults | None = None) -> Path:
     """Run a live session; returns the session log's path.
 
     Raises:
@@ -180,7 +184,7 @@ def run_session(path: Path, options: Options) -> Path:
     folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
     with ExitStack() as stack:
         supervisor = stack.enter_context(SupervisorProcess())
-        streams = devices.open_sensors(session, stack)
+        streams = devices.open_sensors(session, stack, faults)
         if stored is not None:
             with failing(CalibrationError):
                 refuse_others(stored, serials_of(streams), str(options.calibration))
@@ -207,7 +211,9 @@ def run_session(path: Path, options: Options) -> Path:
                 else "the session has a sensor on each foot, and tells them apart by itself"
             )
             raise Problem(f"--side {options.side}: {says}.")
-        log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, supervisor, stack)
+        log_path, ended = run_live(
+            session, calibrations, streams, options, folder, keys, interrupt, supervisor, stack, faults
+        )
     finish(log_path, ended, report=options.report)
     return log_path
 
@@ -277,6 +283,7 @@ def run_live(
     interrupt: Interrupt,
     supervisor: SupervisorProcess,
     stack: ExitStack,
+    faults: devices.SensorFaults | None = None,
 ) -> tuple[Path, str]:
     """Have the supervisor open the stimulator, then the one loop; the log's path and how it ended.
 
@@ -292,7 +299,7 @@ def run_live(
     log_path = folder / f"session{LOG_SUFFIX}"
     with failing(SessionLogError):
         header = live_header(session, calibrations, opened.session_id, utc_now(), opened_ns, opened.current_step_ma)
-        log = PipedLog(log_path, header)
+        log = PipedLog(log_path, header if faults is None else header | {"faults_injected": True})
     kind, page_port = str(header["kind"]), options.dashboard_port
     dashboard = None
     if options.dashboard:
@@ -303,6 +310,11 @@ def run_live(
     def open_again() -> Opened:
         opened = line.open(time.monotonic_ns())
         return Opened(line, opened.session_id, opened.frames)
+
+    def observe(event: Event) -> None:
+        line.observe(event)
+        if faults is not None:  # in a fault campaign only
+            faults.observe(event)
 
     stimulator = LiveStimulator(line, open_again, StimulatorLost, time.monotonic_ns)
     stack.callback(stimulator.close)
@@ -317,7 +329,7 @@ def run_live(
         current_step_ma=opened.current_step_ma,
         open_lead_detected_from_ma=open_lead_detected_from_ma(session.stimulator),
         side=options.side or "",
-        observed=line.observe,
+        observed=observe,
     )
     line.on_own, line.on_fault = live.monitor.command, stimulator.add_fault
     _give_inputs(live, session, options, stop_file, folder, keys, stack)
@@ -328,6 +340,10 @@ def run_live(
         live.add_input(ExerciseClock(session.exercise, live.operator))
     if dashboard is not None:
         devices.add_dashboard(live, dashboard)
+    if faults is not None:
+        live.add_input(faults)
+        live.notices.lasting.append(FAULTS_INJECTED)
+        click.secho(FAULTS_INJECTED, fg="red", bold=True, err=True)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
     for port_name in devices.serial_ports_of(session):
         if hint := latency_hint(port_name):

@@ -5,22 +5,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import click
 
 from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
-from drivers.imu.port import ImuLost
+from drivers.imu.port import ImuLost, ImuPort
 from drivers.stimulator.bus import BusError
 from fes.cli.common.exits import Problem, failing
 from fes.cli.common.options import Command
 from fes.config import ConfigError, Session, Switch
 from fes.control.clock_sync import SensorClock
 from fes.estimation.sensor_choice import phase_sensors
-from fes.live.sensors import SensorStream
+from fes.live.sensors import Imu, Input, SensorStream
+from fes.signals import Event
 
 if TYPE_CHECKING:
     from fes.live.dashboard.process import DashboardProcess
@@ -70,14 +71,32 @@ def add_dashboard(live: LiveSession, dashboard: DashboardProcess) -> None:
     live.add_input(DashboardCommands(stream, live.operator.execute, lambda: live.operator.state, on_refused))
 
 
-def open_sensors(session: Session, stack: ExitStack) -> list[SensorStream]:
+class SensorFaults(Input, Protocol):
+    """What stands between a session's sensors and its loop in a fault campaign on real devices, and nowhere else.
+
+    The program that ``fes hil --hardware`` starts hands it over; no setting, option or extension names one.
+    """
+
+    dummy_load: bool  # somebody has confirmed that nobody is connected to the stimulator
+
+    def between(self, ports: Sequence[ImuPort], session: Session) -> Sequence[Imu]:
+        """Ports in the place of these."""
+
+    def observe(self, event: Event) -> None:
+        """As the supervisor does, before anybody acts on it."""
+
+
+def open_sensors(session: Session, stack: ExitStack, faults: SensorFaults | None = None) -> list[SensorStream]:
     """Open every line that a sensor of the session is on; ``stack`` closes them.
 
     Raises:
-        Problem: one cannot be opened.
+        Problem: one cannot be opened; or ``faults`` without a dummy load.
     """
+    if faults is not None and not faults.dummy_load:
+        raise Problem("Sensors' faults are injected by `fes hil --hardware … --i-have-a-dummy-load` alone.")
     with failing(ImuLost, BusError, ConfigError, ValueError):
-        ports = open_imus(session.sensors, session.bus)
+        opened = open_imus(session.sensors, session.bus)
+    ports = opened if faults is None else faults.between(opened, session)
     phase_sensor_of = phase_sensors(str(device.sensor) for device in session.sensors)
     # what no channel follows must not stop the therapy of a sound foot; without channels there is none to stop
     needed = frozenset(phase_sensor_of[channel.foot] for channel in session.channels if channel.foot in phase_sensor_of)

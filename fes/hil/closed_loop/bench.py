@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.imu.port import ImuLost
-from drivers.simulated.imu.device import LASTING
+from drivers.simulated.imu.faults import LASTING
 from drivers.simulated.lines import LINE_FAULTS
 from drivers.simulated.process_handle import ProcessHandle
 from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
