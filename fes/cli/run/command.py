@@ -42,7 +42,7 @@ from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.source import LiveSource
 from fes.live.stimulator import LiveStimulator, Opened
 from fes.live.supervised_line import SupervisorProcess
-from fes.session_log import SessionLogError
+from fes.session_log import Note, SessionLogError
 from fes.session_log.framing import LogScan, RecordType
 from fes.signals import Event
 
@@ -343,6 +343,7 @@ def run_live(
     if faults is not None:
         live.add_input(faults)
         live.notices.lasting.append(FAULTS_INJECTED)
+        live.monitor.note(Note(time.monotonic_ns(), "warning", "session", FAULTS_INJECTED))
         click.secho(FAULTS_INJECTED, fg="red", bold=True, err=True)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
     for port_name in devices.serial_ports_of(session):
