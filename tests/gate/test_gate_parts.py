@@ -799,3 +799,11 @@ def test_gate_of_an_exercise_lets_a_burst_last_as_long_as_it_is(by_clock: bool) 
     for k in range(131):
         assert gate.judge(S + k * 10 * MS, replace(ASKED, current_ma=0.5)).on
     assert "longer than a person asked for" in gate.judge(S + 1300 * MS + 1, replace(ASKED, current_ma=0.5)).refused
+
+
+def test_the_judge_is_ready_before_any_sensor_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled with a first sample, it kept the supervisor away for longer than the controller waits."""
+    judged: list[Any] = []
+    monkeypatch.setattr("fes.gate.plausibility.judge", lambda core: judged.append(core) or 0)
+    Plausible((), {})
+    assert judged

@@ -9,8 +9,10 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import cast
 
 import click
 import numpy as np
@@ -30,6 +32,7 @@ from fes.cli.common.exits import UNUSABLE, Problem
 from fes.cli.run.devices import open_sensors
 from fes.config import ConfigError, ImuDevice, Session, StimulatorDevice, load_session
 from fes.extensions import GROUPS
+from fes.hil.campaign_bench import CampaignBench
 from fes.hil.devices import hardware_session, on_hardware
 from fes.hil.injections import INJECTIONS
 from fes.hil.results import MS, Outputs, off_after_ms
@@ -80,14 +83,15 @@ def numbers(samples: list[RawSample]) -> list[int]:
 # --- what stands between ---------------------------------------------------------------------------------
 
 
-def test_without_a_fault_every_sample_is_as_the_driver_gave_it() -> None:
+def test_without_a_fault_every_sample_is_as_the_driver_gave_it(monkeypatch: pytest.MonkeyPatch) -> None:
     port = OpenPort(FOOT, "left_foot")
     faulted: Imu = FaultedImu(port, [DEVICE, OTHER])
     assert (faulted.sensors, faulted.serials, faulted.fileno()) == (port.sensors, port.serials, 99)
     beyond = 1.04 * 16 * 9.81  # a driver lets its own calibration stretch full scale a little
     for number in range(200):
         assert faulted.read(number * PERIOD_NS) == [port.sample(sensor, number) for sensor in port.sensors]
-    port.sample = lambda sensor, number: RawSample(sensor, 0, 7, (beyond, math.nan, 0.0), (0.0, 0.0, 0.0))  # type: ignore[method-assign]
+    far = RawSample(FOOT, 0, 7, (beyond, math.nan, 0.0), (0.0, 0.0, 0.0))
+    monkeypatch.setattr(port, "sample", lambda sensor, number: replace(far, sensor=sensor))
     (sample, _) = faulted.read(0)
     assert sample.acc_mps2[0] == beyond
     assert math.isnan(sample.acc_mps2[1])
@@ -425,9 +429,9 @@ def test_the_orders_of_a_row_are_known_to_the_port(name: str) -> None:
             pass
 
     inject, heal = INJECTIONS[name]
-    bench = Bench()
-    inject(bench, 0)  # type: ignore[arg-type]
-    heal(bench)  # type: ignore[arg-type]
+    bench = cast(CampaignBench, Bench())
+    inject(bench, 0)
+    heal(bench)
 
 
 @pytest.mark.parametrize("device", [*SERIAL, "can"])

@@ -90,6 +90,16 @@ def test_what_queued_up_before_the_session_is_not_of_it() -> None:
     assert isinstance(next(iter(bench.source())), Tick)
 
 
+def test_what_queued_up_and_comes_in_pieces_is_not_of_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal may say nothing while the kernel still moves into it what came before (serial_line.Waiting)."""
+    bench = Bench()
+    raw = Raw(FOOT, 0, 1, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0))
+    reads = [number % 9 == 0 for number in range(50)]
+    monkeypatch.setattr(bench.imu, "read", lambda t_ns: [raw] if reads and reads.pop(0) else [])
+    assert list(bench.line.discard(0)) == []
+    assert not any(reads)
+
+
 def test_times_never_run_backward_through_a_backlog_and_a_stop_overtakes_it() -> None:
     """Every event costs a millisecond; a key hit in the middle of a backlog of 200 samples is not behind it."""
     bench = Bench()

@@ -87,7 +87,8 @@ def written(path: Path, **changes: Any) -> Path:
     for sensor, samples in SAMPLES.items():
         for t_s, values in samples():
             t_ns = make.at(t_s)
-            sample = ImuSample(t_ns + LATE_NS, sensor, t_ns, values[:3], values[3:])  # type: ignore[arg-type]
+            x, y, z, p, q, r = values
+            sample = ImuSample(t_ns + LATE_NS, sensor, t_ns, (x, y, z), (p, q, r))
             events.append((sample.t_ns, writer.event, sample))
     commands = [each for channel, at_s, for_s, ma, *_ in BURSTS for each in make.burst(channel, at_s, for_s, ma)]
     commands += [

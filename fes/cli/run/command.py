@@ -311,9 +311,9 @@ def run_live(
         opened = line.open(time.monotonic_ns())
         return Opened(line, opened.session_id, opened.frames)
 
-    def observe(event: Event) -> None:
+    def observe(event: Event) -> None:  # in a fault campaign only
         line.observe(event)
-        if faults is not None:  # in a fault campaign only
+        if faults is not None:
             faults.observe(event)
 
     stimulator = LiveStimulator(line, open_again, StimulatorLost, time.monotonic_ns)
@@ -329,7 +329,7 @@ def run_live(
         current_step_ma=opened.current_step_ma,
         open_lead_detected_from_ma=open_lead_detected_from_ma(session.stimulator),
         side=options.side or "",
-        observed=observe,
+        observed=line.observe if faults is None else observe,
     )
     line.on_own, line.on_fault = live.monitor.command, stimulator.add_fault
     _give_inputs(live, session, options, stop_file, folder, keys, stack)
