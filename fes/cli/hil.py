@@ -98,6 +98,8 @@ def command(
     if recording is not None and (closed_loop or hardware is not None):
         other = "--closed-loop" if closed_loop else "--hardware"
         raise Problem(f"--recording and {other}: a recording does not answer to stimulation. Leave one out.")
+    if walking and hardware is None:
+        raise Problem("--walking is for --hardware: simulated sensors always walk.")
     if hardware is not None:
         if not dummy_load:
             raise Problem(

@@ -313,6 +313,12 @@ def test_a_campaign_on_real_devices_begins_with_that_word_alone(tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
+def test_nobody_is_said_to_walk_with_simulated_sensors(tmp_path: Path) -> None:
+    refused = CliRunner().invoke(main, ["hil", "--walking", "--out", str(tmp_path / "out")])
+    assert refused.exit_code == UNUSABLE
+    assert "--walking is for --hardware" in refused.output
+
+
 def all_nodes() -> dict[str, list[ast.AST]]:
     """Of every module all that stands in it."""
     found = {}
