@@ -70,10 +70,13 @@ def main_axis(track: Track) -> int:
     return int(np.argmax(track.gyr_radps.std(axis=0)))
 
 
-def biased(track: Track) -> Track:
-    gyr = track.gyr_radps.copy()
-    gyr[:, main_axis(track)] += np.radians(15.0)
-    return replace(track, gyr_radps=gyr)
+def biased(degps: float) -> Change:
+    def change(track: Track) -> Track:
+        gyr = track.gyr_radps.copy()
+        gyr[:, main_axis(track)] += np.radians(degps)
+        return replace(track, gyr_radps=gyr)
+
+    return change
 
 
 def flipped(nth: int) -> Change:
@@ -125,7 +128,7 @@ LATER: dict[str, tuple[str, Change]] = {
         "accelerometer 30 ms late": ("lag", lag(30.0)),
         "gyroscope × 0.8": ("gyr_gain", gains(1.0, 0.8)),
         "accelerometer × 0.9": ("acc_scale", gains(0.9, 1.0)),
-        "main axis + 15 deg/s": ("gyr_bias", biased),
+        "main axis + 15 deg/s": ("gyr_bias", biased(15.0)),
         "main axis' sign": ("axes", flipped(0)),
         "next axis' sign": ("axes", flipped(1)),
     }.items()

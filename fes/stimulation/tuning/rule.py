@@ -4,7 +4,7 @@ It grew from the plain rule of an independent comparison; what was added to it i
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
@@ -158,17 +158,10 @@ class OwnRule:
         errors = [self._aim(measure) - level for _, level in answers][-own.surely :]
         usual = median(errors[-own.lately :])
         bands = max(bands_per_drive(answers, own), 1.0 / own.drive_per_band)  # never further than the usual foot's
-        missing = newest if newest > own.far else min(newest, usual)
-        if missing > own.near:
-            # what has lifted nothing is not added to, unless the foot is far too low
-            return self._tuning.gain * missing / bands if usual > own.far or self._still_lifts(answers) else 0.0
+        if newest > own.near:
+            return self._tuning.gain * newest / bands
         surely = max(newest, usual) < -own.far or (len(errors) == own.surely and max(errors) < -own.much)
         return max(usual / bands, -own.eased) if surely and self.state is not State.SPARE else 0.0
-
-    def _still_lifts(self, answers: Sequence[tuple[float, float]]) -> bool:
-        """Whether the last of what was given has lifted anything."""
-        own, now = self._own, answers[-1][0]
-        return bands_per_drive([each for each in answers if each[0] > now - own.last_given], own) > own.flattest
 
     def _aim(self, measure: Measure) -> float:
         own = self._own
@@ -183,7 +176,7 @@ class OwnRule:
         return pre, swing, loading
 
     def _timed(self, stride: StrideResult, wanted: BurstParameters, why: str) -> Proposal:
-        """Start and end with the phases: up by a quarter of the swing, the force gone as the foot lies flat."""
+        """Start and end with the phases: up early in the swing, the force gone as the foot lies flat."""
         own = self._own
         if not self._tuning.timing or not self._phases:
             return Proposal(why, wanted)

@@ -1,0 +1,227 @@
+"""A sensor that begins to lie in mid-walk, live: how soon gate or witness tell it, and what goes wrong meanwhile.
+
+    python benchmarks/safety/live_lies.py [--lies NAME …] [--feet N] [--json FILE]
+
+Of every person of ``witness.py`` one foot walks through a whole session at 100 Hz: controller, gate and commands, armed
+once, 20 mA; and beside it the live witness hears each stride. At half time the sensor begins to lie. The same walk
+without the lie says which phase the foot is in. By lie and half of the persons:
+
+- *latched within*: feet whose gate latched before so many strides had ended since the lie began;
+- *by the witness*: of the others those of whom the witness told something within 5, or within 20, strides;
+- *never*: neither, until the recording's end;
+- *in stance*: ms of current in all since the lie began, while the foot stands (less the last 150 ms of a stance, in
+  which a burst may begin early): median, 95 %, most; and how many feet got more than 100 ms;
+- *length*: the live stride length over that of the sound walk, median [5, 95 %] of feet.
+
+The first row has no lie: what is told there is false. Exit code 3 without data.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.accuracy.every_walker import calibrate
+from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.loop.by_radio import EARLY_NS, MS, RATE_HZ, Walk, by_cable, overlap_ns, session_of, stances
+from benchmarks.safety.witness import (
+    Change,
+    Walker,
+    biased,
+    exchanged,
+    flipped,
+    from_half,
+    gains,
+    lag,
+    mirrored,
+    walkers,
+)
+from drivers.simulated.imu.device import even_signal
+from fes.control.controller import Controller
+from fes.control.runner import Runner
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.sensor_choice import Calibration
+from fes.gate import gate_of
+from fes.recording import Track
+from fes.signals import OperatorAct, OperatorAction, StrideResult
+from fes.witness.hearing import Hearing
+
+SOUND = "as it is"
+LIES: dict[str, Change] = {
+    SOUND: lambda track: track,
+    "accelerometer 40 ms late": lag(40.0),
+    "accelerometer 20 ms early": lag(-20.0),
+    "gyroscope × 0.5": gains(1.0, 0.5),
+    "gyroscope × 0.8": gains(1.0, 0.8),
+    "gyroscope × 1.25": gains(1.0, 1.25),
+    "gyroscope × 2": gains(1.0, 2.0),
+    "accelerometer × 0.8": gains(0.8, 1.0),
+    "accelerometer × 1.25": gains(1.25, 1.0),
+    "main axis + 15 deg/s": biased(15.0),
+    "main axis + 30 deg/s": biased(30.0),
+    "main axis' sign": flipped(0),
+    "next axis' sign": flipped(1),
+    "left-handed": mirrored,
+    "gyroscope's x and y exchanged": exchanged,
+}
+LATCHED, HEARD = (1, 2, 5), (5, 20)  # strides
+MUCH_MS = 100.0
+SECONDS = 90.0
+
+
+@dataclass
+class Session(Walk):
+    """A walk with its strides, until the gate latches."""
+
+    strides: list[StrideResult] = field(default_factory=list)
+    latched_ns: int | None = None
+
+    def stride(self, result: StrideResult) -> None:
+        """Kept."""
+        self.strides.append(result)
+
+
+def session(track: Track, calibration: Calibration) -> Session:
+    """All of the walk, armed as soon as the gate lets a person, and never again."""
+    asked, walk = session_of(track.sensor, "capture2go"), Session()
+    gate = gate_of(asked, {track.sensor: calibration.up})
+    runner = Runner(Controller(asked, {track.sensor: calibration}), gate, walk, walk, lambda: 0)
+    for event in by_cable(track.sensor, even_signal(track, RATE_HZ)):
+        runner.handle(event)
+        if gate.latched:
+            walk.latched_ns = event.t_ns
+            break
+        if not gate.armed:
+            runner.handle(OperatorAct(event.t_ns, OperatorAction.ARM))
+            runner.handle(OperatorAct(event.t_ns, OperatorAction.SET_INTENSITY, 1.0))
+    return walk
+
+
+@dataclass(frozen=True)
+class Row:
+    """One foot under one lie; strides are counted from the lie's beginning, None is never."""
+
+    lie: str
+    known: bool
+    latched: int | None
+    heard: int | None
+    stance_ms: float
+    length: float
+
+
+def told_after(track: Track, lied: Session, half_ns: int) -> int | None:
+    """After how many strides the live witness tells a lie, at most the last of HEARD."""
+    signal = even_signal(track, RATE_HZ)
+    t_ns = np.array([event.t_ns for event in by_cable(track.sensor, signal)])
+    values = np.hstack((signal.acc_mps2, signal.gyr_radps))
+    hearing, read, after = Hearing(track.sensor, RATE_HZ), 0, 0
+    for stride in lied.strides:
+        end = int(np.searchsorted(t_ns, stride.t_end_ns, "right"))
+        hearing.add(t_ns[read:end], values[read:end], [(stride.t_start_ns, stride.t_end_ns)])
+        read = end
+        if stride.t_end_ns <= half_ns:
+            continue
+        after += 1
+        hearing.hear()
+        if hearing.lies:
+            return after
+        if after >= HEARD[-1]:
+            break
+    return None
+
+
+def length_m(strides: Sequence[StrideResult], from_ns: int) -> float:
+    """Median of the valid ones since then; NaN without any."""
+    lengths = [each.stride_length_m for each in strides if each.valid and each.t_start_ns >= from_ns]
+    return float(np.median(lengths)) if lengths else float("nan")
+
+
+def rows_of(walker: Walker, lies: Sequence[str]) -> list[Row]:
+    """One foot under every lie; none where the sound walk cannot be calibrated or is latched."""
+    track = walker.track
+    try:
+        calibration = calibrate(track)
+    except CalibrationError:
+        return []
+    sound = session(track, calibration)
+    events = list(by_cable(track.sensor, even_signal(track, RATE_HZ)))
+    half_ns = events[len(events) // 2].t_ns
+    stood = stances(sound)
+    if sound.latched_ns is not None and sound.latched_ns <= half_ns:
+        return []
+    rows = []
+    for lie in lies:
+        if lie == SOUND:
+            lied, changed = sound, track
+        else:
+            changed = from_half(LIES[lie])(track)
+            lied = session(changed, calibration)
+        begun = [(max(begin, half_ns), end) for begin, end in lied.spans() if end > half_ns]
+        stance_ms = sum(overlap_ns(span, stood, EARLY_NS) for span in begun) / MS
+        ends = [each.t_end_ns for each in sound.strides if each.t_end_ns > half_ns]
+        latched = None if lied.latched_ns is None else sum(end < lied.latched_ns for end in ends) + 1
+        heard = told_after(changed, lied, half_ns) if latched is None else None
+        ratio = length_m(lied.strides, half_ns) / length_m(sound.strides, half_ns)
+        rows.append(Row(lie, walker.known, latched, heard, stance_ms, ratio))
+    return rows
+
+
+def table_of(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
+    """Of one half of the persons."""
+    columns = ["lie", "feet", *(f"latched within {n}" for n in LATCHED), "later"]
+    columns += [
+        *(f"by the witness in {n}" for n in HEARD),
+        "never",
+        "in stance, ms",
+        f"over {MUCH_MS:.0f} ms",
+        "length",
+    ]
+    table = Table(*columns, title=f"Persons whom the bounds {'were chosen on' if known else 'had not seen'}")
+    for lie in lies:
+        own = [row for row in rows if row.lie == lie and row.known == known]
+        if not own:
+            continue
+        latched = [row.latched for row in own if row.latched is not None]
+        heard = [row.heard for row in own if row.heard is not None]
+        middle, most = np.percentile([row.stance_ms for row in own], (50, 95))
+        lengths = [row.length for row in own if np.isfinite(row.length)]
+        low, half, high = np.percentile(lengths, (5, 50, 95)) if lengths else (np.nan,) * 3
+        table.add_row(
+            lie, str(len(own)), *(str(sum(n <= limit for n in latched)) for limit in LATCHED),
+            str(sum(n > LATCHED[-1] for n in latched)), *(str(sum(n <= limit for n in heard)) for limit in HEARD),
+            str(len(own) - len(latched) - len(heard)),
+            f"{middle:.0f}, {most:.0f}, {max(row.stance_ms for row in own):.0f}",
+            str(sum(row.stance_ms > MUCH_MS for row in own)), f"{half:.2f} [{low:.2f}, {high:.2f}]",
+        )  # fmt: skip
+    return table
+
+
+def main() -> int:
+    """Print the tables."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--lies", nargs="*", choices=list(LIES), default=list(LIES))
+    parser.add_argument("--feet", type=int, help="no more than so many")
+    options = parser.parse_args()
+    feet = [walker for walker in walkers(SECONDS) if walker.lied][: options.feet]
+    if not feet:
+        print("No recordings; set FES_DATA.", file=sys.stderr)
+        return 3
+    rows, left_out = list[Row](), 0
+    for walker in feet:
+        found = rows_of(walker, options.lies)
+        left_out += not found
+        rows += found
+        print(walker.foot.data_set, walker.foot.person, len(found), file=sys.stderr, flush=True)
+    tables = [table_of(rows, options.lies, known=known) for known in (False, True)]
+    notes = [f"{left_out} of {len(feet)} feet cannot be calibrated, or are latched before the lie begins."]
+    publish(console_of(220), tables, options, notes, data_folder())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
