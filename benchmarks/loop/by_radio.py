@@ -4,11 +4,12 @@
 
 Real feet walk at 100 Hz through a simulated Capture2Go (its clock 20 ppm fast), a radio with moments of a connection,
 the driver, the stream, controller and gate, on a clock of the simulation; the cable's samples are there when they are
-measured. Whoever is switched off by a fault arms again at once. By radio the session is as it must be (onset
-predicted), and *detected* is what it would be without prediction. Of each radio:
+measured. Whoever is switched off by a fault arms again at once. Onsets are *detected*, as a session has it by default,
+or *predicted*, each against its own kind by cable. Of each radio:
 
 - *onset*: how much later than the same stride's by cable a burst begins at the stimulator, ms, median [5–95 %], and
-  *within 40*: % of the cable's bursts that have one within ±40 ms; a burst that is missing is not within;
+  *within 40*: % of the cable's bursts that have one within ±40 ms; a burst that is missing is not within. Counted from
+  the radio's first on, for by radio no burst begins before three strides tell when it will have to fall;
 - *lost*, *extra*: of 100 of the cable's bursts those without a counterpart, and the other way round;
 - *in stance*: ms of current while the foot is in stance (by cable, less its last 150 ms, in which a burst may begin
   early), per burst: median, 95 %, most;
@@ -153,23 +154,21 @@ def by_cable(sensor: str, signal: ImuSignal) -> Iterator[Event]:
 # --- through controller and gate --------------------------------------------------------------------------------------
 
 
-def session_of(sensor: str, device: str, onset: str = "predicted", packed: bool = False) -> Session:
-    """One channel on tibialis anterior; without prediction one that no file could ask for by radio."""
+def session_of(sensor: str, device: str, onset: str = "detected", packed: bool = False) -> Session:
+    """One channel on tibialis anterior."""
     most = limits.RADIO
     own = LIMITS | {"max_charge_per_minute_mc": most.max_charge_per_minute_mc, "max_on_s": most.max_on_s}
     channel = {
-        "name": "x", "number": 0, "foot": sensor, "electrode_area_cm2": 25.0, "current_ma": 20.0, "onset": "predicted",
+        "name": "x", "number": 0, "foot": sensor, "electrode_area_cm2": 25.0, "current_ma": 20.0, "onset": onset,
         "pulse_width_us": 300.0, "frequency_hz": 40.0, "limits": own,
     }  # fmt: skip
     worn = {"sensor": sensor, "device": device, "port": "IMU_1234ab", "rate_hz": RATE_HZ, "acc_range_g": 16.0}
     worn |= {"gyr_range_dps": 2000.0, "options": {"packed": True} if packed else {}}
     stimulation: dict[str, object] = {"validity_ms": most.max_validity_ms}
     stimulation |= {"max_data_age_ms": most.max_data_age_ms} if device == "capture2go_ble" else {}
-    session = Session.model_validate(
+    return Session.model_validate(
         {"name": "radio", "stimulation": stimulation, "channels": [channel], "sensors": [worn]}
     )
-    channels = tuple(each.model_copy(update={"onset": onset}) for each in session.channels)
-    return session.model_copy(update={"channels": channels})
 
 
 @dataclass
@@ -265,6 +264,7 @@ class Figures:
 
     hours: float = 0.0
     bursts: int = 0
+    asked: int = 0  # of these since the radio's first
     lost: int = 0
     extra: int = 0
     cut: int = 0
@@ -278,7 +278,7 @@ class Figures:
     def within(self) -> float:
         """%."""
         near = sum(abs(late) * MS <= WITHIN_NS for late in self.late_ms)
-        return 100.0 * near / max(self.bursts, 1)
+        return 100.0 * near / max(self.asked, 1)
 
     def add(self, cable: Walk, radio: Walk, seconds: float) -> None:
         """One walk."""
@@ -286,6 +286,8 @@ class Figures:
         contacts = [change.t_ns for change in cable.phases if change.destination is Phase.LOADING_RESPONSE]
         self.hours += seconds / 3600.0
         self.bursts += len(bursts)
+        first_ns = by_radio[0][0] - NEAR_NS if by_radio else 0
+        self.asked += sum(begin > first_ns for begin, _ in bursts)
         matched: set[int] = set()
         for begin, end in bursts:
             near = [n for n, (on_ns, _) in enumerate(by_radio) if abs(on_ns - begin) < NEAR_NS and n not in matched]
@@ -344,7 +346,7 @@ SETTINGS = (
     Setting("30 ms, 2 %, eight samples a package", 30.0, 0.02, packed=True),
 )
 BAR = "30 ms, 2 %"
-WITHOUT = (BAR, "50 ms, 10 %", SETTINGS[-1].name)  # measured without prediction, too
+PREDICTED = (BAR, "50 ms, 10 %", SETTINGS[-1].name)  # measured with prediction, too
 CHOSEN = {"bundled trials": 3, "stroke_treadmill": 40, "stroke_walks": 40}  # of each set, one foot in so many
 
 
@@ -380,8 +382,8 @@ def chosen(data: Path) -> Iterator[Walked]:
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; 1 if a bar does not hold."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
-    arms = [(setting, "predicted") for setting in SETTINGS]
-    arms += [(setting, "detected") for setting in SETTINGS if setting.name in WITHOUT]
+    arms = [(setting, "detected") for setting in SETTINGS]
+    arms += [(setting, "predicted") for setting in SETTINGS if setting.name in PREDICTED]
     figures = {(setting.name, onset): Figures() for setting, onset in arms}
     silent: list[tuple[int, int]] = []
     for walk in chosen(options.data):
@@ -398,8 +400,8 @@ def main(arguments: list[str] | None = None) -> int:
             session = session_of(sensor, "capture2go_ble", onset, setting.packed)
             radio = walked(session, calibration, by_radio(session, signal, setting.adjust, setting.at))
             figures[setting.name, onset].add(cables[onset], radio, signal.size / RATE_HZ)
-        silent += silences(calibration, sensor, signal, cables["predicted"])
-        bar = figures[BAR, "predicted"]
+        silent += silences(calibration, sensor, signal, cables["detected"])
+        bar = figures[BAR, "detected"]
         print(walk.group, walk.person, sensor, bar.bursts, f"{bar.within:.1f}", file=sys.stderr, flush=True)
     columns = (
         "radio",
@@ -434,12 +436,11 @@ def main(arguments: list[str] | None = None) -> int:
     on_ms, wrong_ms = (np.array(silent).reshape(-1, 2) / MS).T
     gone = Table("silences", "current goes on", "most", "in stance, most", title="The radio goes silent in a burst, ms")
     gone.add_row(str(len(on_ms)), spread(on_ms.tolist()), f"{on_ms.max():.0f}", f"{wrong_ms.max():.0f}")
-    bar = figures[BAR, "predicted"]
+    bar = figures[BAR, "detected"]
     most_ms = limits.RADIO.max_data_age_ms + AFTER_NS / MS
-    said = (
-        f"Bars: at {BAR} {SOONEST:g} % within 40 ms: {bar.within:.1f} %; current for {most_ms:.0f} ms after the radio "
-    )
-    said += f"goes silent at most: {on_ms.max():.0f} ms; nothing over a limit: {sum(f.over for f in figures.values())}."
+    said = f"Bars: at {BAR} {SOONEST:g} % of detected onsets within 40 ms: {bar.within:.1f} %; current for "
+    said += f"{most_ms:.0f} ms after the radio goes silent at most: {on_ms.max():.0f} ms; "
+    said += f"nothing over a limit: {sum(f.over for f in figures.values())}."
     console = console_of(200)
     publish(console, [table, gone], options, [said])
     held = bar.within >= SOONEST and on_ms.max() <= most_ms and not any(f.over for f in figures.values())

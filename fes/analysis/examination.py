@@ -9,12 +9,15 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from fes.analysis.tables import Table
 from fes.recording import Recording
 from fes.recording.tracks import Track
-from fes.signals import StrideResult
+from fes.signals import FOOT_SENSORS, StrideResult
 from fes.walk_record import Finding
 from fes.witness import Lie, Testimony, corrected, examine
+from fes.witness.estimate import FEWEST
 from fes.witness.frozen import dead_band_radps, frozen_rows
+from fes.witness.verdict import SURE
 
 
 class Analysis(Protocol):
@@ -39,9 +42,16 @@ class Analysis(Protocol):
     def strides(self) -> list[StrideResult]: ...  # noqa: D102
 
     @property
+    def stride_columns(self) -> Table: ...  # noqa: D102
+
+    @property
     def testimonies(self) -> dict[str, Testimony]: ...  # noqa: D102
 
 
+APART: Final = (
+    0.08  # of the speed: by so much two sound feet are never measured apart on a belt (6 % at most, 20 walks)
+)
+STRAIGHT_RAD: Final = math.radians(10.0)  # of a stride: in a curve the outer foot goes farther
 GREAT: Final = 0.05  # of a key number: what is more has to be looked at before the numbers are used
 _REMEDIES: Final = {
     "lag": "read both triads from one stream with one clock, or analyse with --correct",
@@ -92,7 +102,33 @@ def sensor_findings(result: Analysis, anew: Callable[[Recording], Analysis]) -> 
         if each.silent:
             text = f"Sensor {_name(sensor)}: whether it is sound cannot be told: {each.silent}."
             found.append(Finding("info", text, code="cannot_tell", sensor=sensor, cause=each.silent))
-    return tuple(found)
+    return (*found, *([] if lying else _feet_apart(result.stride_columns)))
+
+
+def _feet_apart(strides: Table) -> Iterator[Finding]:
+    """Both feet of a walk go equally far in the same time: where they do not, one of them is measured wrongly."""
+    straight = strides["valid"] & (np.abs(strides["turn_rad"]) < STRAIGHT_RAD)
+    left, right = (strides[straight & (strides["foot"] == foot)] for foot in FOOT_SENSORS)
+    if min(len(left), len(right)) < FEWEST:
+        return
+    middle_ns = (left["t_start_ns"] + left["t_end_ns"]) // 2
+    at = np.searchsorted(right["t_start_ns"], middle_ns, side="right") - 1
+    beside = (at >= 0) & (right["t_end_ns"][at] >= middle_ns)  # the right foot's stride in whose time it was walked
+    pairs = np.column_stack((left["speed_mps"][beside], right["speed_mps"][at[beside]]))
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    if len(pairs) < FEWEST:
+        return
+    ratio = pairs[:, 0].sum() / pairs[:, 1].sum()
+    sd = np.std(pairs[:, 0] - ratio * pairs[:, 1], ddof=1) / (pairs[:, 1].mean() * math.sqrt(len(pairs)))
+    if abs(ratio - 1.0) < max(APART, SURE * sd):
+        return
+    farther, other = ("left", "right") if ratio > 1.0 else ("right", "left")
+    share, sd = (ratio - 1.0, sd) if ratio > 1.0 else (1.0 / ratio - 1.0, sd / ratio**2)
+    cause = f"in {len(pairs)} straight strides the {farther} foot went {share:.0%} ± {sd:.0%} farther than the {other}"
+    effect = "one foot's stride lengths, speeds and clearances are wrong, and so is their symmetry"
+    remedy = "see which sensor sits loosely or drags, or measure a walk of known length"
+    text = f"Feet: {cause}, though both walk the same way: {effect}. {_upper(remedy)}."
+    yield Finding("alert", text, False, "feet_apart", ", ".join(FOOT_SENSORS), cause, effect, remedy)
 
 
 def _finding(

@@ -150,3 +150,19 @@ def test_a_dead_band_is_known_by_its_zeros_and_coarse_numbers_are_none() -> None
     coarse = replace(track, gyr_radps=np.round(track.gyr_radps / band) * band)
     assert dead_band_radps(coarse) == 0.0
     assert dead_band_radps(track) == 0.0
+
+
+@pytest.mark.parametrize(("factor", "farther"), [(1.2, "left"), (0.8, "right")])
+def test_two_feet_of_one_walk_that_go_unequally_far_are_told(factor: float, farther: str) -> None:
+    both = analyse(read_recording(WALK))
+    assert not [each for each in both.findings if each.code == "feet_apart"]
+    longer = [
+        replace(each, stride_length_m=factor * each.stride_length_m, speed_mps=factor * each.speed_mps)
+        if each.foot == FOOT else each
+        for each in both.strides
+    ]  # fmt: skip
+    (found,) = (each for each in replace(both, measured_strides=longer).findings if each.code == "feet_apart")
+    assert found.level == "alert"
+    assert f"the {farther} foot went " in found.cause
+    few = replace(both, measured_strides=longer[:30])
+    assert not [each for each in few.findings if each.code == "feet_apart"], "15 of a foot tell nothing"
