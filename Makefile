@@ -171,7 +171,7 @@ trials: $(VENV)/run.stamp
 
 # Needs uv on the path; writes no address of any registry.
 lock:
-	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/run.lock
+	uv pip compile pyproject.toml --extra live --extra cohort --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/run.lock
 	uv pip compile pyproject.toml --extra dev -c locks/run.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/dev.lock
 	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/peers.lock
 	uv pip compile docs/site/requirements.in -c locks/dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/docs.lock

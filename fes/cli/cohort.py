@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, StoppedEarly, interrupted
+from fes.cli.common.exits import FAILED, Problem, StoppedEarly, interrupted, need_extra
 from fes.cli.common.options import Number
 from fes.cli.common.processors import processors
 from fes.cli.common.show import print_json
@@ -62,6 +62,7 @@ def command(
     Exit code: 0 all analysed, 1 some not, 2 unusable arguments or storage, 3 stopped early (no room for the results,
     the scheduler gone), 130 interrupted.
     """
+    need_extra("cohort")
     from fes.cohort.engine import analyse_all, cluster
     from fes.cohort.sources import find_sources, program
     from fes.cohort.store import RECORDINGS, Store

@@ -9,7 +9,7 @@ import click
 
 from drivers.simulated.spawn import ImuKind
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted
+from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted, need_extra
 from fes.cli.common.options import PATH, SENSOR_KINDS, choice, out_option
 from fes.cli.common.show import print_json
 from fes.cli.replay.preparation import prepared
@@ -111,6 +111,8 @@ def command(
         if only and (refused := [scenario.name for scenario in scenarios if not on_hardware(scenario)]):
             raise Problem(f"--only {', '.join(refused)}: needs simulated devices.")
         scenarios = list(filter(on_hardware, scenarios))
+    if any(scenario.variant == "seen" for scenario in scenarios):  # on the dashboard
+        need_extra("live")
     played = None
     if recording is not None:
         with failing(RecordingError, ConfigError, CalibrationError):

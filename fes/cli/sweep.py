@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fes.cli.cohort import absolute, progress_bar, results_at, resumable, unfinished
-from fes.cli.common.exits import FAILED, Problem, failing, writing
+from fes.cli.common.exits import FAILED, Problem, failing, need_extra, writing
 from fes.cli.common.options import PATH, Number
 from fes.cli.common.processors import processors
 from fes.cli.common.show import print_json, screen
@@ -30,6 +30,7 @@ PAGE, TABLE = "index.html", "combinations.parquet"
 
 def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked:
+        need_extra("cohort")
         from fes.cohort.sweep.grid import swept_names
 
         click.echo("\n".join(swept_names()))
@@ -87,6 +88,7 @@ def command(
     Exit code: 0 all tried, 1 some trials failed, 2 unusable arguments, settings or storage, 3 stopped early (no room
     for the results, the scheduler gone), 130 interrupted.
     """
+    need_extra("cohort")
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -217,6 +217,12 @@ def told_licences() -> dict[str, str]:
     return dict(re.findall(r"^\| ([\w.-]+) \| [^|]+ \| ([^|]+) \|$", page, re.MULTILINE))
 
 
+def asked_for(project: dict[str, Any]) -> list[str]:
+    """What pyproject.toml asks for of locks/run.lock: the core and the extras that `make` installs with it."""
+    extras = project["optional-dependencies"]
+    return [*project["dependencies"], *extras["live"], *extras["cohort"]]
+
+
 def bill_of_materials(licences: dict[str, str]) -> str:
     """locks/run.cdx.json: CycloneDX 1.6 of the lock file, the same for the same lock file and licences.
 
@@ -231,7 +237,7 @@ def bill_of_materials(licences: dict[str, str]) -> str:
         return f"pkg:pypi/{name.lower()}@{version}"
 
     own = reference(project["name"], project["version"])
-    direct = sorted({re.split(r"[\[<>=~! ;]", each)[0] for each in project["dependencies"]} & set(runs))
+    direct = sorted({re.split(r"[\[<>=~! ;]", each)[0] for each in asked_for(project)} & set(runs))
     bill = {
         "bomFormat": "CycloneDX",
         "specVersion": "1.6",

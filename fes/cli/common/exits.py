@@ -3,6 +3,7 @@
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any, Final, NoReturn
 
@@ -14,6 +15,9 @@ UNUSABLE: Final = 2  # wrong arguments or input; nothing was done
 STOPPED: Final = 3  # it ended early: a device was lost, the disk is full
 BROKEN: Final = 4  # a fault of this program
 INTERRUPTED: Final = 130  # Ctrl-C
+
+# extra (pyproject.toml) → what of it is imported
+EXTRAS: Final = {"live": ("starlette", "uvicorn", "websockets"), "cohort": ("distributed", "fsspec")}
 
 
 class Problem(click.ClickException):
@@ -67,6 +71,16 @@ def writing(place: Path, remedy: str = "", kind: type[Problem] = Problem) -> Ite
         yield
     except OSError as error:
         raise kind(f"{place}: cannot be written: {error.strerror or error}{remedy}") from error
+
+
+def need_extra(extra: str, option: str = "") -> None:
+    """End the command, before it does anything, where one of :data:`EXTRAS` is not installed; it is not loaded.
+
+    ``option``: what of the command needs it, "" for all of it.
+    """
+    if any(find_spec(library) is None for library in EXTRAS[extra]):
+        what = f"fes {click.get_current_context().info_name} {option}".strip()
+        raise Problem(f"{what} needs the extra {extra}, which is not installed: pip install 'fes-gait[{extra}]'")
 
 
 def interrupted(said: str) -> NoReturn:

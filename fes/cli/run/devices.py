@@ -15,7 +15,7 @@ import click
 from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
 from drivers.imu.port import ImuLost, ImuPort
 from drivers.stimulator.bus import BusError
-from fes.cli.common.exits import Problem, failing
+from fes.cli.common.exits import Problem, failing, need_extra
 from fes.cli.common.options import Command
 from fes.config import ConfigError, Session, Switch
 from fes.control.clock_sync import SensorClock
@@ -33,8 +33,14 @@ def dashboard_options(command: Command) -> Command:
     port = click.option(
         "--dashboard-port", type=click.IntRange(0, 65535), default=0, help="The dashboard's port. Default: a free one."
     )
-    dashboard = click.option("--dashboard", is_flag=True, help="Serve the dashboard to a browser on this computer.")
-    return dashboard(port(command))
+    said = "Serve the dashboard to a browser on this computer."
+    return click.option("--dashboard", is_flag=True, callback=_servable, help=said)(port(command))
+
+
+def _servable(_: click.Context, __: click.Parameter, asked: bool) -> bool:
+    if asked:
+        need_extra("live", "--dashboard")
+    return asked
 
 
 def open_dashboard(
