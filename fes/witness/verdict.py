@@ -182,6 +182,8 @@ def _later(spans: Spans) -> list[Lie]:
             return []
         rest = spans.part(slice(begin, None))
         again, _, refined = _judged(estimate(rest), len(rest))
+        if not again and len(rest) >= FEWEST:  # all that is said to be so denies it
+            return []
         lies, fit = (again, refined) if again else (lies, fit)
     return [replace(lie, from_ns=spans.t_ns(begin), strides=len(spans) - begin) for lie in lies]
 
