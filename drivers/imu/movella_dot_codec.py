@@ -20,9 +20,7 @@ from fes.signals import Vector3
 
 INFO, DEVICE_CONTROL, MEASUREMENT, MEDIUM_PAYLOAD = 0x1001, 0x1002, 0x2001, 0x2003  # characteristics
 RATES_HZ: Final = (60, 30)  # the lower ones are of no use here
-RATE_QUANTITIES: Final = 21
-MEASURES: Final = 1
-_MEASUREMENT: Final = struct.Struct("<BBB")  # what is controlled, whether it runs, payload
+START, STOP = b"\1\1\x15", b"\1\0\x15"  # values of MEASUREMENT: of what, whether it runs, payload 21
 _INFO: Final = struct.Struct("<6s3B7xIQ6s")  # address, firmware, its date, radio's firmware, serial number, model
 _CONTROL: Final = struct.Struct("<B23xH6x")  # which fields count, output rate
 _OUTPUT_RATE: Final = 1 << 4
@@ -43,14 +41,9 @@ def uuid(characteristic: int) -> str:
     return f"1517{characteristic:04x}-4947-11e9-8646-d663bd873d93"
 
 
-def measurement(starts: bool) -> bytes:
-    """The value that starts or stops the measurement of :data:`RATE_QUANTITIES`."""
-    return _MEASUREMENT.pack(1, MEASURES if starts else 0, RATE_QUANTITIES)
-
-
 def is_measuring(value: bytes) -> bool:
-    """Of what is read there. struct.error: it is no such value."""
-    return bool(_MEASUREMENT.unpack(value)[1] == MEASURES)
+    """Of what is read there."""
+    return value[1:2] == b"\1"
 
 
 def output_rate(rate_hz: int) -> bytes:

@@ -72,7 +72,7 @@ class MovellaDotImu(OneSensorPort):
         serial, firmware = dot.identity(self._value(dot.INFO))
         self.serials, self.firmwares = {name: serial}, {name: firmware}
         if dot.is_measuring(self._value(dot.MEASUREMENT)):
-            self._set(dot.MEASUREMENT, dot.measurement(False))
+            self._set(dot.MEASUREMENT, dot.STOP)
             self._until_quiet()
         self._set(dot.DEVICE_CONTROL, dot.output_rate(rate_hz))
         if (found := dot.set_rate_hz(self._value(dot.DEVICE_CONTROL))) != rate_hz:
@@ -81,7 +81,7 @@ class MovellaDotImu(OneSensorPort):
             )
         self._connection.notifications()
         self._started_ns: int | None = self._clock_ns()
-        self._set(dot.MEASUREMENT, dot.measurement(True))
+        self._set(dot.MEASUREMENT, dot.START)
 
     def _value(self, characteristic: int) -> bytes:
         return self._connection.read(dot.uuid(characteristic))
@@ -129,5 +129,5 @@ class MovellaDotImu(OneSensorPort):
         """Let it stop, and leave; one that is gone is not waited for."""
         if self._connection.is_open:
             with suppress(ImuLost):
-                self._set(dot.MEASUREMENT, dot.measurement(False))
+                self._set(dot.MEASUREMENT, dot.STOP)
             self._connection.close()

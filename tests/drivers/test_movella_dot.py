@@ -6,13 +6,12 @@ import asyncio
 import itertools
 import math
 import struct
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
+import bleak_stand_in
 import numpy as np
 import pytest
 
@@ -42,7 +41,7 @@ def device(port: str = "/in process", rate_hz: float = 60.0, **options: object) 
 
 def test_values_are_those_of_the_specification() -> None:
     assert dot.uuid(dot.MEDIUM_PAYLOAD) == "15172003-4947-11e9-8646-d663bd873d93"
-    assert (dot.measurement(True).hex(), dot.measurement(False).hex()) == ("010115", "010015")
+    assert (dot.START.hex(), dot.STOP.hex()) == ("010115", "010015")
     assert (dot.is_measuring(b"\1\1\5"), dot.is_measuring(b"\1\0\x15")) == (True, False)
     assert dot.output_rate(60).hex() == "10" + "00" * 23 + "3c00" + "00" * 6
     assert dot.set_rate_hz(bytes(24) + b"\x1e\0" + bytes(6)) == 30
@@ -78,7 +77,7 @@ class Bench:
         stream = SensorStream(port, SensorClock, ImuLost, frozenset({FOOT}), frozenset({FOOT}))
         found, end_ns = [], self.line.t_ns + round(seconds * NS_PER_S)
         while self.line.t_ns < end_ns:
-            self.line.wait(1.0)
+            self.line.advance(self.line.t_ns + 5 * MS)
             found += [each for each in stream.read(self.line.t_ns) if isinstance(each, ImuSample)]
         return found
 
@@ -198,56 +197,27 @@ def test_a_rate_that_it_has_not_is_refused() -> None:
 # --- by bleak -----------------------------------------------------------------------------------------------
 
 
-class Client:
-    """What the port asks of bleak's client, in real time."""
+class Client(bleak_stand_in.Client):
+    notifies = dot.uuid(dot.MEDIUM_PAYLOAD)
 
-    radio: ClassVar[Radio]
-    alive: ClassVar[bool] = True
-
-    def __init__(self, found: Any, disconnected_callback: Any, timeout: float) -> None:
-        self._gone = disconnected_callback
-        self._values: dict[int, bytes] = {}
-
-    async def connect(self) -> None:
-        assert not hasattr(self, "_task")
-
-    async def start_notify(self, characteristic: str, callback: Any) -> None:
-        assert characteristic == dot.uuid(dot.MEDIUM_PAYLOAD)
-        self._task = asyncio.create_task(self._run(callback))
-
-    async def _run(self, callback: Any) -> None:
-        while Client.alive:
-            for record in Client.radio.advance(time.monotonic_ns()):
-                number, _ = struct.unpack_from("<HH", record)
-                if number == dot.MEDIUM_PAYLOAD:
-                    callback(None, bytearray(record[4:]))
-                else:
-                    self._values[number] = record[4:]
-            await asyncio.sleep(0.003)
-        self._gone(self)
+    def heard(self, message: bytes, callback: Any) -> None:
+        number, value = int.from_bytes(message[:2], "little"), message[4:]
+        if number == dot.MEDIUM_PAYLOAD:
+            super().heard(value, callback)
+        else:
+            self.value = number, value
 
     async def write_gatt_char(self, characteristic: str, data: bytes, response: bool) -> None:
         assert response
         record = struct.pack("<HH", int(characteristic[4:8], 16), len(data)) + data
-        Client.radio.receive(time.monotonic_ns(), record)
+        self.radio.receive(time.monotonic_ns(), record)
 
     async def read_gatt_char(self, characteristic: str) -> bytearray:
-        number = int(characteristic[4:8], 16)
-        self._values.pop(number, None)
-        Client.radio.receive(time.monotonic_ns(), struct.pack("<HH", number, 0))
-        while number not in self._values:
+        self.value = 0, b""
+        await self.write_gatt_char(characteristic, b"", response=True)
+        while self.value[0] != int(characteristic[4:8], 16):
             await asyncio.sleep(0.003)
-        return bytearray(self._values[number])
-
-    async def disconnect(self) -> None:
-        self._task.cancel()
-
-
-class Scanner:
-    @staticmethod
-    async def find_device_by_filter(is_it: Any, timeout: float, service_uuids: list[str] | None) -> Any:
-        found = SimpleNamespace(name="Movella DOT", address="D4:22:CD:00:8A:5A")
-        return found if service_uuids is None and is_it(found, None) else None
+        return bytearray(self.value[1])
 
 
 @pytest.fixture
@@ -255,7 +225,7 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> Iterator[Radio]:
     now_ns = time.monotonic_ns()
     imu = SimulatedImu(MovellaDotWire(60.0), COUNTED, now_ns)
     Client.radio, Client.alive = Radio(imu, now_ns, 0.0075, whole=True), True
-    monkeypatch.setitem(sys.modules, "bleak", SimpleNamespace(BleakClient=Client, BleakScanner=Scanner))
+    bleak_stand_in.install(monkeypatch, Client, "Movella DOT", "D4:22:CD:00:8A:5A", None)
     yield Client.radio
     Client.alive = False
 
