@@ -8,7 +8,7 @@ from drivers.imu.port import AXES, ImuLost, ImuPort, flag_option
 from fes.config import Bus, ImuDevice
 from fes.extensions import ExtensionError, load_extension
 
-WITHOUT_LINE = ("lsl", "capture2go_ble")  # whose port is no line of this computer
+WITHOUT_LINE = ("lsl", "capture2go_ble", "movella_dot")  # whose port is no line of this computer
 ON_CAN = ("xsens_can", "dbc_can")
 OPTIONS = {
     "xbus": ("baudrate", "configure"),
@@ -17,6 +17,8 @@ OPTIONS = {
     "ximu3": ("baudrate", "library"),
     "capture2go": ("baudrate", "sync", "sync_id"),
     "capture2go_ble": ("sync", "sync_id", "find_s", "packed"),
+    "witmotion": ("baudrate", "configure"),
+    "movella_dot": ("find_s",),
     "lsl": (*AXES, "acc_unit", "gyr_unit", "timeout_s"),
 }  # that each kind of device has
 
@@ -94,6 +96,14 @@ def _open_alone(device: ImuDevice) -> ImuPort:
         from drivers.imu.capture2go_ble import Capture2GoBle, Capture2GoBridge
 
         return Capture2GoBridge(device) if "/" in device.port else Capture2GoBle(device)
+    if device.device == "witmotion":
+        from drivers.imu.witmotion_port import WitmotionImu
+
+        return WitmotionImu(device)
+    if device.device == "movella_dot":
+        from drivers.imu.movella_dot_port import MovellaDotImu
+
+        return MovellaDotImu(device)
     from drivers.imu.lsl_port import LslImu
 
     return LslImu(device)

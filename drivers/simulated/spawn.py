@@ -19,7 +19,9 @@ from fes.config import Bus
 
 DeviceKind = Literal["sciencemode4", "sciencemode2"]
 _PROBES: Final = frozenset((1,))
-ImuKind = Literal["xbus", "ximu3", "capture2go", "capture2go_ble", "xsens_can", "dbc_can", "lsl"]
+ImuKind = Literal[
+    "xbus", "ximu3", "capture2go", "capture2go_ble", "witmotion", "movella_dot", "xsens_can", "dbc_can", "lsl"
+]
 
 
 class NodeFailed(StimulatorLost):

@@ -16,7 +16,7 @@ from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, interru
 from fes.cli.common.options import PATH, utc_now
 from fes.config import ConfigError, ImuDevice, Session, load_session
 
-SIMULATED: Final = ("xbus", "ximu3", "capture2go", "can", "p24_low_level", "p24_mid_level", "rehastim2")
+SIMULATED: Final = ("xbus", "ximu3", "capture2go", "witmotion", "can", "p24_low_level", "p24_mid_level", "rehastim2")
 VIRTUAL_BUSES: Final = ("udp_multicast", "loopback", "virtual")
 STIMULATES: Final = (
     "qualifying a stimulator STIMULATES. Connect a dummy load (1 kΩ, 1 W) with an oscilloscope across it, and nobody; "

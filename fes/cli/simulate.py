@@ -23,7 +23,6 @@ from fes.cli.common.options import PATH, SENSOR_KINDS, SIDE, STIMULATORS, Number
 from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show_latched
 from fes.cli.main import WANTS_LINUX
-from fes.config import WIRELESS
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
@@ -148,7 +147,7 @@ class Options:
 @choice("--stimulate", of=CONTROL, help="phase: by the controller, in closed loop with a simulated stimulator.")
 @click.option("--live", is_flag=True, help="In real time, as devices that `fes run` meets in another terminal.")
 @choice("--stimulator", of=STIMULATORS, help="With --live: which simulated stimulator.")
-@choice("--sensors", of=(*SENSOR_KINDS, *WIRELESS), help="With --live: which simulated sensors.")
+@choice("--sensors", of=(*SENSOR_KINDS, "capture2go_ble"), help="With --live: which simulated sensors.")
 @click.option("--session", type=PATH, help="Settings of the stimulation (TOML).")
 @out_option("Folder.")
 @click.option("--name", default="simulated", show_default=True, help="Name of the files.")

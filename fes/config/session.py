@@ -23,8 +23,8 @@ from fes.config.thresholds import Value, check_thresholds
 
 STEEPEST_PERCENT: Final = 25.0  # steeper than any treadmill goes
 Options = dict[str, str | int | float | bool]
-IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "capture2go", "capture2go_ble", "lsl")
-WIRELESS: Final = ("capture2go_ble",)
+WIRELESS: Final = ("capture2go_ble", "movella_dot")
+IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "capture2go", "witmotion", "lsl", *WIRELESS)
 STIMULATORS: Final = ("can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen")
 
 

@@ -254,7 +254,7 @@ def patient_session_text(
             text += "\n" + toml_text({"geometry": {foot: geometry.model_dump()}})
     for number, (sensor, port) in enumerate((ports or {}).items()):
         text += _sensor_text(sensors, sensor, port, settings.rate_hz, settings.imu.acc_range_mps2)
-        if sensors in ("capture2go", *WIRELESS) and len(ports or {}) > 1:  # the first's clock is all others'
+        if sensors.startswith("capture2go") and len(ports or {}) > 1:  # the first's clock is all others'
             text += f'options = {{ sync = "{"receiver" if number else "sender"}", sync_id = {SYNC_ID} }}\n'
     return text + _stimulator_text(stimulator, bus)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.imu.capture2go_port import Capture2GoImu
 from drivers.imu.port import ImuPort
+from drivers.imu.witmotion_port import WitmotionImu
 from drivers.imu.xbus_port import XbusImu
 from drivers.imu.ximu3_port import Ximu3Imu
 from drivers.simulated.imu.device import SimulatedImu
@@ -31,7 +32,7 @@ from fes.qualify.sensor import AXES, SensorBench
 from fes.qualify.stimulator import StimulatorBench, exercise_of
 from fes.signals import G_MPS2, NS_PER_S, Vector3
 
-SENSORS: Final = ("xbus", "ximu3", "capture2go")
+SENSORS: Final = ("xbus", "ximu3", "capture2go", "witmotion")
 STIMULATORS: Final = ("can", "p24_low_level", "p24_mid_level", "rehastim2")
 SERIALS: Final = {"xbus": "037003F8", "capture2go": "ABC123"}
 START_NS: Final = 1000 * NS_PER_S
@@ -159,6 +160,8 @@ def simulated_sensor(
         port = Ximu3Imu(settings, lambda *_: line)
     elif kind == "xbus":
         port = XbusImu(settings, line.clock_ns, lambda *_: line)
+    elif kind == "witmotion":
+        port = WitmotionImu(settings, line.clock_ns, lambda *_: line)
     else:
         port = Capture2GoImu(settings, line.clock_ns, lambda *_: line)
     return SensorBench(settings, port, SimulatedTime(line), SensorPerson(line, feels))

@@ -26,6 +26,7 @@ def load(tmp_path: Path, text: str) -> Session:
 def test_what_the_simulation_writes_is_a_session_by_radio(tmp_path: Path) -> None:
     session = load(tmp_path, GOOD)
     assert session.by_radio == {"right_foot"}
+    assert load(tmp_path, GOOD.replace("capture2go_ble", "movella_dot")).by_radio == {"right_foot"}
     (tmp_path / "session.toml").write_text(GOOD + EXERCISE, encoding="utf-8")
     assert load_exercise(tmp_path / "session.toml").stimulation.max_data_age_ms == limits.MAX_DATA_AGE_MS
 
@@ -40,6 +41,7 @@ def test_what_the_simulation_writes_is_a_session_by_radio(tmp_path: Path) -> Non
         ("phase_uc = 15.0", "phase_uc = 20.5", "by radio max_charge_per_phase_uc is 20 at most"),
         ("minute_mc = 30.0", "minute_mc = 31.0", "by radio max_charge_per_minute_mc is 30 at most"),
         ("max_data_age_ms = 120", "max_data_age_ms = 121", "max_data_age_ms"),
+        ("capture2go_ble", "witmotion", r"max_data_age_ms = 120 is over 40; up to 120 is only for sensors by radio"),
         ("capture2go_ble", "capture2go", r"max_data_age_ms = 120 is over 40; up to 120 is only for sensors by radio"),
     ],
 )

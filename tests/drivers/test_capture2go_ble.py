@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import sys
 import time
 from collections.abc import Iterator
-from types import SimpleNamespace
-from typing import Any, ClassVar
 
+import bleak_stand_in
 import numpy as np
 import pytest
 
@@ -27,45 +25,13 @@ MS = 1_000_000
 COUNTED = ImuSignal(100.0, np.tile([0.0, 0.0, 9.81], (1000, 1)), np.linspace([0.0] * 3, [10.0, 0.0, 0.0], 1000))
 
 
-class Client:
-    """What the port asks of bleak's client, by a simulated radio in real time."""
-
-    radio: ClassVar[Radio]
-    alive: ClassVar[bool] = True
-    hangs: ClassVar[bool] = False
-
-    def __init__(self, device: Any, disconnected_callback: Any, timeout: float) -> None:
-        self._gone = disconnected_callback
-
-    async def connect(self) -> None:
-        if self.hangs:
-            await asyncio.sleep(3600)
-
-    async def start_notify(self, characteristic: str, callback: Any) -> None:
-        assert characteristic == ble.FROM_SENSOR
-        self._task = asyncio.create_task(self._run(callback))
-
-    async def _run(self, callback: Any) -> None:
-        while Client.alive:
-            for notification in Client.radio.advance(time.monotonic_ns()):
-                callback(None, bytearray(notification))
-            await asyncio.sleep(0.003)
-        self._gone(self)
+class Client(bleak_stand_in.Client):
+    notifies = ble.FROM_SENSOR
 
     async def write_gatt_char(self, characteristic: str, data: bytes, response: bool) -> None:
         assert characteristic == ble.TO_SENSOR
         assert response or data == c2g.pack(c2g.Header.CMD_GET_STATUS)  # of its time nobody waits for the answer
         Client.radio.receive(time.monotonic_ns(), data)
-
-    async def disconnect(self) -> None:
-        self._task.cancel()
-
-
-class Scanner:
-    @staticmethod
-    async def find_device_by_filter(is_it: Any, timeout: float, service_uuids: list[str]) -> Any:
-        found = SimpleNamespace(name="IMU_1234ab", address="00:11:22:33:44:55")
-        return found if service_uuids == [ble.SERVICE] and is_it(found, None) else None
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +39,7 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> Iterator[Radio]:
     now_ns = time.monotonic_ns()
     imu = SimulatedImu(Capture2GoWire(100.0, None, "1234ab"), COUNTED, now_ns)
     Client.radio, Client.alive, Client.hangs = Radio(imu, now_ns), True, False
-    monkeypatch.setitem(sys.modules, "bleak", SimpleNamespace(BleakClient=Client, BleakScanner=Scanner))
+    bleak_stand_in.install(monkeypatch, Client, "IMU_1234ab", "00:11:22:33:44:55", [ble.SERVICE])
     yield Client.radio
     Client.alive = False
 

@@ -94,6 +94,17 @@ def test_xbus_blocks_cut_off_are_rejected(data: bytes) -> None:
         xbus.decode_measurement(data)
 
 
+def test_ximu3_message_of_the_manual() -> None:
+    """xioTechnologies/x-IMU3-User-Manual, Sections/communicationProtocol.tex: "Inertial message"."""
+    golden = bytes.fromhex("c9 40420f0000000000" + "00" * 20 + "0000803f 0a")
+    message = ximu3.Inertial(1_000_000, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert ximu3.Ximu3Decoder().feed(golden) == [message]
+    assert ximu3.encode(message) == golden
+    stuffed = ("4558414d504c45", "45dbdc414d504c45", "4558dbdd4d504c45", "4558414d50dbdddbdc")  # its "Byte stuffing"
+    plain = ("4558414d504c45", "450a414d504c45", "4558db4d504c45", "4558414d50db0a")
+    assert [ximu3.unescaped(bytes.fromhex(each)) for each in stuffed] == [bytes.fromhex(each) for each in plain]
+
+
 def test_ximu3_escapes_and_noise() -> None:
     message = ximu3.Inertial(0x0ADB0A, (1.0, -2.0, 3.0), (0.0, 0.5, 1.0))
     raw = ximu3.encode(message)

@@ -20,6 +20,7 @@ from examples import examples
 from spoiled import no_longer_than, spoiled
 
 from drivers.imu import capture2go_codec as c2g
+from drivers.imu import witmotion_codec as witmotion
 from drivers.imu import xbus_codec as xbus
 from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
@@ -219,6 +220,19 @@ def capture2go_stream(data: bytes) -> int:
     return len(packages)
 
 
+WITMOTION_STREAM = [
+    bytes.fromhex("5550000000000528950168 55510c0093026d08b7077a 5552000000000000b70765") * 2,
+    bytes.fromhex("555f0700090006001400de"),
+]
+
+
+def witmotion_stream(data: bytes) -> int:
+    decoder = witmotion.WitmotionDecoder()
+    found = decoder.feed(data)
+    assert decoder.counts.bytes_skipped <= len(data) - 11 * len(found)
+    return len(found)
+
+
 # --- the session log's records ------------------------------------------------------------------------------
 
 RECORDS = [
@@ -277,6 +291,7 @@ CODECS = (
     Codec("Xbus measurements", [stream[4:-1] for stream in XBUS_STREAM[:1]], xbus_measurement, 80_000),
     Codec("x-IMU3", [ximu3.encode(ximu3.Inertial(5, (1, 2, 3), (0, 0, 1))) * 3], ximu3_stream, 80_000),
     Codec("Capture2Go", C2G_STREAM, capture2go_stream, 80_000),
+    Codec("WitMotion", WITMOTION_STREAM, witmotion_stream, 80_000),
     Codec("IMU on CAN", XSENS_FRAMES, xsens_frame, 60_000),
     Codec("log records", [bytes((kind,)) + payload for kind, payload in RECORDS], record, 60_000),
 )

@@ -19,7 +19,7 @@ from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost
 from drivers.simulated.imu.device import walking_signal
-from drivers.simulated.spawn import ImuHandle, free_bus, spawn_imu, why_silent
+from drivers.simulated.spawn import ImuHandle, ImuKind, free_bus, spawn_imu, why_silent
 from drivers.stimulator.bus import open_bus
 from fes.control.clock_sync import SensorClock
 from fes.live.sensors import SensorStream
@@ -297,6 +297,22 @@ def test_a_sensor_by_radio_whose_notifications_come_over_a_line() -> None:
         until(lambda: any(isinstance(each, SystemFault) for each in found))
         until(lambda: any(isinstance(each, ImuSample) for each in found))
         stream.close()
+
+
+@pytest.mark.parametrize(("kind", "rate_hz"), [("witmotion", 100.0), ("movella_dot", 60.0)])
+def test_makers_of_whom_only_documents_were_at_hand(kind: ImuKind, rate_hz: float) -> None:
+    with spawn_imu(kind, rate_hz=rate_hz, offset_s=50.0, drift_ppm=40) as handle:
+        (port,) = open_imus([settings(kind, handle.port, rate_hz=rate_hz)])
+        found = collect_samples([port], 150)
+        counts = port.counts["right_foot"]
+        assert (counts.missing, counts.doubled, counts.bad_frames, counts.bad_values) == (0, 0, 0, 0)
+        steps_ms = {round((b.t_device_ns - a.t_device_ns) / 1e6) for a, b in itertools.pairwise(found)}
+        assert steps_ms == {round(1000 / rate_hz)}
+        assert len(port.clock_answers()) == (kind == "movella_dot")
+        handle.inject("reboot")
+        port.reopen()
+        assert collect_samples([port], 50)
+        port.close()
 
 
 def test_a_flooded_line_lets_go_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""The radio between a simulated Capture2Go and its host: time and commands in, notifications out; no I/O, no clock.
+"""The radio between a simulated sensor and its host: time and commands in, notifications out; no I/O, no clock.
 
 Faults, beside the sensor's and the line's: ``interval`` (s between moments), ``fails`` (share of them), ``away`` (s
 from now), ``lose`` (notifications).
@@ -27,7 +27,8 @@ class Radio(Device):
     """One connection; its moments are ``interval_s`` apart, and a share ``fails`` of them fails.
 
     ``away_until_ns``: until then all fail (a burst, a body in between). ``lose``: so many of the next notifications the
-    host's system loses. ``framed``: each after its length in two bytes, for a line.
+    host's system loses. ``framed``: each after its length in two bytes, for a line. ``whole``: each message is a
+    notification as it is, or a Capture2Go's stream is cut into such.
     """
 
     imu: SimulatedImu
@@ -38,14 +39,15 @@ class Radio(Device):
     away_until_ns: int = 0
     lose: int = 0
     framed: bool = False
-    _buffer: bytearray = field(default_factory=bytearray)
+    whole: bool = False
+    _waiting: list[bytes] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._chance = random.Random(self.seed)
 
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """A command; its answer waits its turn."""
-        self._buffer += b"".join(self.imu.receive(t_ns, data))
+        self._waiting += self.imu.receive(t_ns, data)
         return []
 
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
@@ -61,8 +63,8 @@ class Radio(Device):
                 self.lose = round(value)
             case _:
                 if name == "reboot":
-                    self._buffer.clear()
-                self._buffer += b"".join(self.imu.set_fault(t_ns, name, value))
+                    self._waiting.clear()
+                self._waiting += self.imu.set_fault(t_ns, name, value)
         return []
 
     def next_deadline_ns(self) -> int:
@@ -78,17 +80,23 @@ class Radio(Device):
         out: list[bytes] = []
         while self.next_moment_ns() <= t_ns:
             self.t_ns = self.next_moment_ns()
-            self._buffer += b"".join(self.imu.advance(self.t_ns))
+            self._waiting += self.imu.advance(self.t_ns)
             if self.t_ns < self.away_until_ns or self._chance.random() < self.fails:
                 continue
             for _ in range(AT_ONCE):
-                if not self._buffer:
+                if not self._waiting:
                     break
-                sent = NO_REAL_TIME + bytes(self._buffer[: LONGEST - 1])
-                del self._buffer[: LONGEST - 1]
+                sent = self._next()
                 if self.lose:
                     self.lose -= 1
                 else:
                     out.append(len(sent).to_bytes(2, "little") + sent if self.framed else sent)
-        self._buffer += b"".join(self.imu.advance(t_ns))
+        self._waiting += self.imu.advance(t_ns)
         return out
+
+    def _next(self) -> bytes:
+        if self.whole:
+            return self._waiting.pop(0)
+        stream = b"".join(self._waiting)
+        self._waiting = [stream[LONGEST - 1 :]] if len(stream) >= LONGEST else []
+        return NO_REAL_TIME + stream[: LONGEST - 1]

@@ -10,7 +10,7 @@ import click
 
 PATH: Final = click.Path(path_type=Path)
 SIDE: Final = click.Choice(["left", "right"])
-SENSOR_KINDS: Final = ("xbus", "ximu3", "capture2go")  # those that are simulated on lines of bytes
+SENSOR_KINDS: Final = ("xbus", "ximu3", "capture2go", "witmotion")  # those that are simulated on lines of bytes
 STIMULATORS: Final = ("can", "p24_low_level", "rehastim2")  # those that are simulated
 
 Command = TypeVar("Command", bound=Callable[..., Any])
