@@ -268,7 +268,7 @@ LONG: dict[str, Sequence[str]] = {
     "shank-phases": ("accuracy/shank_phases.py",),
     "orientation-limits": ("accuracy/orientation_limits.py",),
     "witness": ("safety/witness.py",),
-    "witness-sound": ("safety/witness.py", "--lies"),
+    "witness-sound": ("safety/witness.py", "--lies", "--seconds", "1000"),
     **{
         f"speed-{part}": ("speed/speed_table.py", "--only", part)
         for part in ("analysis", "live", "peers", "growth", "session", "cohort")

@@ -2,8 +2,9 @@
 
     python benchmarks/safety/witness.py [--lies NAME …] [--seconds S] [--json FILE]
 
-The last 65 s of every foot of the data folder ($FES_DATA) and its ``unseen_walkers`` are analysed as a user would, as
-they are and with a lie put in: all feet as they are, of each person the first with each lie. Of the persons in
+The last 65 s of every foot of the data folder ($FES_DATA) and its ``unseen_walkers`` (``--seconds 1000``: all of them)
+are analysed as a user would, as they are and with a lie put in: all feet as they are, of each person the first with
+each lie. Of the persons in
 order of set and name every other one is known, the first included: on these the bounds of ``fes/witness/verdict.py``
 were chosen. The others judge. One set that a single subject walked is one person.
 
