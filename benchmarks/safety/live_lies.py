@@ -7,7 +7,7 @@ once, 20 mA; and beside it the live witness hears each stride. At half time the 
 without the lie says which phase the foot is in. By lie and half of the persons:
 
 - *latched within*: feet whose gate latched before so many strides had ended since the lie began;
-- *by the witness*: of the others those of whom the witness told something within 5, or within 20, strides;
+- *witness in*: of the others those of whom the witness told something within so many strides;
 - *never*: neither, until the recording's end;
 - *in stance*: ms of current in all since the lie began, while the foot stands (less the last 150 ms of a stance, in
   which a burst may begin early): median, 95 %, most; and how many feet got more than 100 ms;
@@ -69,9 +69,9 @@ LIES: dict[str, Change] = {
     "left-handed": mirrored,
     "gyroscope's x and y exchanged": exchanged,
 }
-LATCHED, HEARD = (1, 2, 5), (5, 20)  # strides
+LATCHED, HEARD = (1, 2, 5), (10, 40)  # strides
 MUCH_MS = 100.0
-SECONDS = 90.0
+SECONDS = 150.0
 
 
 @dataclass
@@ -205,9 +205,10 @@ def main() -> int:
     """Print the tables."""
     parser = parser_of(__doc__)
     parser.add_argument("--lies", nargs="*", choices=list(LIES), default=list(LIES))
-    parser.add_argument("--feet", type=int, help="no more than so many")
+    parser.add_argument("--feet", type=int, help="about so many, evenly among all")
     options = parser.parse_args()
-    feet = [walker for walker in walkers(SECONDS) if walker.lied][: options.feet]
+    feet = [walker for walker in walkers(SECONDS) if walker.lied]
+    feet = feet[:: max(len(feet) // (options.feet or len(feet)), 1)]
     if not feet:
         print("No recordings; set FES_DATA.", file=sys.stderr)
         return 3
