@@ -4,7 +4,8 @@
     python benchmarks/loop/tuning.py --patients 20 --trials day --arms short tuner --each         # a look
 
 It takes hours. With ``--keep FILE`` whoever has walked is written there at once, and does not walk again with the same
-tuning (the files of its room); ``--kept`` makes the tables of those alone.
+tuning (the files of its room; of the rule and its watch only where these are tried); ``--kept`` makes the tables of
+those alone.
 
 Arms, all within the same bounds (50 mA, 60 to 300 µs):
 
@@ -68,6 +69,7 @@ FAULT_STRIDE, SPARED, NAMED_WITHIN = 18, 5, 30
 ROLL_DEG, ROLL_FROM, EVERTORS = 5.0, 3, 1
 LEAST_WIDTH_US = 20.0  # of common stimulators
 ARMS = ("fixed", "short", "plain", "tuner", "two")
+OWN_RULE = ("rule.py", "settings.py", "watch.py")
 PAIRS = (("tuner", "short"), ("tuner", "plain"), ("plain", "short"), ("short", "fixed"))
 BEGIN, END = "<!-- tuning results: benchmarks/loop/tuning.py -->", "<!-- end of tuning results -->"
 
@@ -323,10 +325,12 @@ class Kept:
     def __init__(self, path: Path | None) -> None:
         self.results: dict[tuple[bool, int, str, str], Result] = {}
         self._path = path
-        self._tuning = digest((Path(__file__).resolve().parents[2] / "fes" / "stimulation" / "tuning").glob("*.py"))
+        files = set((Path(__file__).resolve().parents[2] / "fes" / "stimulation" / "tuning").glob("*.py"))
+        others = digest(file for file in files if file.name not in OWN_RULE)
+        self._tuning = {arm: digest(files) if arm in ("tuner", "two") else others for arm in ARMS}
         for line in path.read_text(encoding="utf-8").splitlines() if path is not None and path.is_file() else ():
             row = json.loads(line)
-            if row["tuning"] == self._tuning:
+            if row["tuning"] == self._tuning[row["arm"]]:
                 row["result"]["inside"] = [each == "1" for each in row["result"]["inside"]]
                 self.results[row["second"], row["seed"], row["trial"], row["arm"]] = Result(**row["result"])
 
@@ -334,13 +338,20 @@ class Kept:
         """Whether all of these are there."""
         return all((second, seed, trial, arm) in self.results for arm in arms)
 
+    def left(self, second: bool, seed: int, trials: Sequence[str], arms: Sequence[str]) -> tuple[list[str], list[str]]:
+        """The trials and the arms in which something of these is not there yet."""
+        lacking = [(name, arm) for name in trials for arm in arms if not self.has(second, seed, name, [arm])]
+        return [name for name in trials if any(name == one for one, _ in lacking)], [
+            arm for arm in arms if any(arm == other for _, other in lacking)
+        ]
+
     def add(self, second: bool, seed: int, walked: dict[str, dict[str, Result]]) -> None:
         """What a person's walks brought, by trial and arm."""
         for trial, by_arm in walked.items():
             for arm, result in by_arm.items():
                 self.results[second, seed, trial, arm] = result
                 inside = "".join("01"[each] for each in result.inside)
-                row = {"tuning": self._tuning, "second": second, "seed": seed, "trial": trial, "arm": arm}
+                row = {"tuning": self._tuning[arm], "second": second, "seed": seed, "trial": trial, "arm": arm}
                 if self._path is not None:
                     with self._path.open("a", encoding="utf-8") as file:
                         file.write(json.dumps({**row, "result": asdict(result) | {"inside": inside}}) + "\n")
@@ -448,10 +459,9 @@ def main() -> None:
     kept = Kept(asked.keep)
     with ProcessPoolExecutor(asked.processes) as pool:
         for title, seeds, trials, arms, second in groups:
-            left = {seed: [name for name in trials if not kept.has(second, seed, name, arms)] for seed in seeds}
             walks = {
-                seed: pool.submit(one_person, seed, names, arms, second=second)
-                for seed, names in left.items() if names and not asked.kept
+                seed: pool.submit(one_person, seed, *left, second=second)
+                for seed in seeds if all(left := kept.left(second, seed, trials, arms)) and not asked.kept
             }  # fmt: skip
             try:
                 for seed, one in walks.items():

@@ -14,6 +14,9 @@ def test_who_has_walked_is_kept_and_found_again(tmp_path: Path) -> None:
     again = Kept(file)
     assert {arm: again.results[True, 7, "day", arm] for arm in walked} == walked
     assert again.has(True, 7, "day", ["tuner", "short"])
+    assert again.left(True, 7, ["day", "slip"], ["short"]) == (["slip"], ["short"])
+    assert again.left(True, 7, ["day"], ["short", "plain"]) == (["day"], ["plain"])
+    assert again.left(True, 7, ["day"], ["short", "tuner"]) == ([], [])
     for other in ((False, 7, "day", ["short"]), (True, 8, "day", ["short"]), (True, 7, "day", ["short", "plain"])):
         assert not again.has(*other)
 

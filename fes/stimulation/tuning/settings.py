@@ -41,15 +41,14 @@ class RuleSettings:
     untaught: int = 10  # stimulated ones in a row that taught nothing: a hint (chosen)
 
     # the watch (dev: whole, slipped, drifting and spastic walks)
-    flattest: float = 1.0  # bands by which all of the drive lifts a foot, at the least
+    flattest: float = 0.7  # bands by which all of the drive lifts a foot, at the least
     believed: float = 0.01  # drive²: spread from which a foot's own answer weighs more than drive_per_band
     newest: int = 7  # strides that are held against …
     earlier: int = 8  # … earlier ones, of which
     enough: int = 5  # at least so many must be at the same speed,
     same_speed: float = 0.12  # share of it
     drift_lag: int = 18  # between these, for what goes slowly
-    climb: int = 14  # first ones, which tell how the foot answers
-    slipped: float = 0.70  # share of the drive that still arrives, below which something has happened
+    slipped: float = 0.75  # share of the drive that still arrives, below which something has happened
     stays: float = 0.33  # share of such a loss which all but one of the strides must show
     least_sd: float = 0.03  # level: strides that agree by chance do not make a measure exact
 

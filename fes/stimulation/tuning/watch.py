@@ -27,7 +27,7 @@ class FaultWatch:
         self._channel, self._own = channel, settings
         # of each stride its speed, and by measure the drive and the level
         self._strides: deque[tuple[float, Answers]] = deque(maxlen=settings.drift_lag + settings.earlier + 1)
-        self._first: dict[str, list[tuple[float, float]]] = {}  # the climb tells how the foot answers
+        self._first: dict[str, list[tuple[float, float]]] = {}  # these tell how the foot answers
         self._doubts = ""
 
     def stride(self, seen: Seen) -> str:
@@ -41,7 +41,7 @@ class FaultWatch:
         }  # fmt: skip
         self._strides.append((seen.stride.speed_mps, answers))
         for name, answer in answers.items():
-            if len(first := self._first.setdefault(name, [])) < self._own.climb:
+            if len(first := self._first.setdefault(name, [])) < self._own.answers:
                 first.append(answer)
         found = SLIPPED if self._lost(self._own.newest) else DRIFTED if self._lost(self._own.drift_lag) else ""
         doubts, self._doubts = self._doubts, found  # what is named is seen twice
