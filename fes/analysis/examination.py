@@ -10,6 +10,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from fes.recording import Recording
+from fes.recording.at_once import at_once
 from fes.recording.tracks import Track
 from fes.signals import StrideResult
 from fes.walk_record import Finding
@@ -58,12 +59,12 @@ _NUMBERS: Final = (
 
 def testimonies(result: Analysis) -> dict[str, Testimony]:
     """What the witness says of every foot sensor that has strides."""
-    found = {}
-    for sensor, block in result.blocks.items():
-        rows = block.rows
-        if len(rows):
-            found[sensor] = examine(result.recording.tracks[sensor], rows["t_start_ns"], rows["t_end_ns"])
-    return found
+
+    def examined(sensor: str) -> Testimony:
+        rows = result.blocks[sensor].rows
+        return examine(result.recording.tracks[sensor], rows["t_start_ns"], rows["t_end_ns"])
+
+    return at_once(examined, (sensor for sensor, block in result.blocks.items() if len(block.rows)))
 
 
 def without_lies(recording: Recording, lies: Mapping[str, tuple[Lie, ...]]) -> Recording:
