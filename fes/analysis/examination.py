@@ -11,6 +11,7 @@ import numpy as np
 
 from fes.analysis.tables import Table
 from fes.recording import Recording
+from fes.recording.at_once import at_once
 from fes.recording.tracks import Track
 from fes.signals import FOOT_SENSORS, StrideResult
 from fes.walk_record import Finding
@@ -68,12 +69,12 @@ _NUMBERS: Final = (
 
 def testimonies(result: Analysis) -> dict[str, Testimony]:
     """What the witness says of every foot sensor that has strides."""
-    found = {}
-    for sensor, block in result.blocks.items():
-        rows = block.rows
-        if len(rows):
-            found[sensor] = examine(result.recording.tracks[sensor], rows["t_start_ns"], rows["t_end_ns"])
-    return found
+
+    def examined(sensor: str) -> Testimony:
+        rows = result.blocks[sensor].rows
+        return examine(result.recording.tracks[sensor], rows["t_start_ns"], rows["t_end_ns"])
+
+    return at_once(examined, (sensor for sensor, block in result.blocks.items() if len(block.rows)))
 
 
 def without_lies(recording: Recording, lies: Mapping[str, tuple[Lie, ...]]) -> Recording:

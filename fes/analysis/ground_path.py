@@ -68,7 +68,9 @@ class GroundPath:
         origin = int(self.t_ns[0]) if origin_ns is None else origin_ns
         spans_s = (np.clip(self.seen_ns, self.t_ns[0], self.t_ns[-1]) - origin) * 1e-9
         bounds = [(math.ceil(begin * rate_hz), math.floor((end + 1e-9) * rate_hz)) for begin, end in spans_s.tolist()]
-        numbers = np.unique(np.concatenate([np.arange(first, last + 1) for first, last in bounds]))
+        numbers = np.concatenate([np.arange(first, last + 1) for first, last in bounds])
+        if len(bounds) > 1:  # two parts may meet
+            numbers = np.unique(numbers)
         t_ns = origin + np.round(numbers * (1.0 / rate_hz) * 1e9).astype(np.int64)
         return t_ns, self.places_at(t_ns)
 

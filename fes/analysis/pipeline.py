@@ -31,11 +31,13 @@ from fes.estimation.strides.results import StrideMaker
 from fes.estimation.tracking.tracker import Tracker
 from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.recording import Recording, Track
+from fes.recording.at_once import at_once
 from fes.recording.chunks import Chunk
 from fes.recording.tracks import UNLABELLED_FEET, newer_samples
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
 from fes.witness.frozen import without_frozen
 
+_BY_SENSOR = ("events", "counts", "paths", "no_path", "points", "blocks", "outcomes", "causal_events")  # of Analysis
 SURE = 0.95  # a chunk's calibration that is as sure is taken for the whole recording
 
 
@@ -126,18 +128,25 @@ class _AnalysisRun:
             chunk = replace(chunk, recording=replace(chunk.recording, tracks=tracks))
         ground = self._ground or chunk.recording.ground
         given: dict[str, Any] = {"geometry": self._geometry, "ground": self._ground, "methods": self._methods}
-        result = Analysis(
-            chunk.recording, dict(self._calibrations), ground=ground, chunk=chunk, raw=raw,
-            anew=lambda recording: analyse(recording, **given),
-        )  # fmt: skip
-        for sensor in phase_sensors(self._calibrations).values():
-            if sensor not in chunk.recording.tracks:
-                continue
-            calibration = self._calibrations[sensor]
+
+        def new() -> Analysis:
+            return Analysis(
+                chunk.recording, dict(self._calibrations), ground=ground, chunk=chunk, raw=raw,
+                anew=lambda recording: analyse(recording, **given),
+            )  # fmt: skip
+
+        def analysed(sensor: str) -> Analysis:
+            own, calibration = new(), self._calibrations[sensor]
             if isinstance(calibration, ShankCalibration):
-                self._analyse_shank(result, chunk, calibration)
+                self._analyse_shank(own, chunk, calibration)
             else:
-                self._analyse_foot(result, chunk, calibration)
+                self._analyse_foot(own, chunk, calibration)
+            return own
+
+        result, worn = new(), phase_sensors(self._calibrations).values()
+        for own in at_once(analysed, (sensor for sensor in worn if sensor in chunk.recording.tracks)).values():
+            for name in _BY_SENSOR:
+                getattr(result, name).update(getattr(own, name))
         if set(FOOT_SENSORS) <= set(result.paths):
             left, right = (result.paths[foot] for foot in FOOT_SENSORS)
             result.paths.update(zip(FOOT_SENSORS, without_relative_drift(left, right), strict=True))

@@ -1,7 +1,9 @@
 """The six numbers of the first page, each with how far it can be relied on."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
@@ -59,10 +61,8 @@ def _known(s: SessionSummary, gait: GaitParameters) -> Iterator[KeyNumber]:
     yield from lifted[:1]  # the toe's where it is known
     of = len(s.strides) + sum(foot.unexplained for foot in s.feet.values())
     if of:
-        from scipy.stats import binomtest
-
         four = sum(row.four_phases for row in s.strides)
-        low, high = binomtest(four, of).proportion_ci(CONFIDENCE, method="wilson")
+        low, high = share_between(four, of)
         shown = f"{100 * four / of:.0f} % ({100 * low:.0f} … {100 * high:.0f})"
         yield KeyNumber(
             "four phases", "All four phases", (("", shown),), ", ".join(filter(None, (f"{four} of {of}", feet)))
@@ -71,6 +71,14 @@ def _known(s: SessionSummary, gait: GaitParameters) -> Iterator[KeyNumber]:
     yield KeyNumber(
         "stride", "Strides", (("", f"{len(s.strides)}"),), ", ".join(filter(None, (f"{valid} valid", feet)))
     )
+
+
+def share_between(count: int, of: int) -> tuple[float, float]:
+    """Confidence interval of a share (Wilson, J Am Stat Assoc 22, 1927)."""
+    z, share = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE), count / of
+    middle, reach = share + z**2 / (2 * of), z * math.sqrt(share * (1.0 - share) / of + (z / (2 * of)) ** 2)
+    low, high = (middle - reach) / (1.0 + z**2 / of), (middle + reach) / (1.0 + z**2 / of)
+    return max(low, 0.0), min(high, 1.0)
 
 
 def _shown(value: Interval, digits: int, unit: str) -> str:

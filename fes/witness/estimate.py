@@ -157,14 +157,14 @@ def refine(spans: Spans, start: Sequence[float] | FloatArray, held: Sequence[int
     sensor, free = np.array(start, dtype=float), [k for k in range(len(SOUND)) if k not in held]
     best: Fit | None = None
     for turn in range(ROUNDS):
-        tried = np.vstack([sensor, *(sensor + step for step in np.diag(STEP))])
+        tried = np.vstack([sensor, *(sensor + step for step in np.diag(STEP)[free])])
         residuals = closures(spans.samples, spans.first, spans.last, tried)
         residuals = residuals[:, np.isfinite(residuals).all(axis=(0, 2))]
         now = residuals[0]
         if not len(now):
             break
         scatter = 1.4826 * np.median(np.abs(now - np.median(now, axis=0)), axis=0) + SCATTER_LEAST
-        change = ((residuals[1:] - now) / STEP[:, None, None] / scatter).transpose(1, 2, 0)[..., free]
+        change = ((residuals[1:] - now) / STEP[free, None, None] / scatter).transpose(1, 2, 0)
         off = now / scatter
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(off), 1e-9))
         prior = 1.0 / PRIOR_SD[free] ** 2

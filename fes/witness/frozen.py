@@ -20,12 +20,12 @@ OVER_RESOLUTION: Final = 4.0  # the band is so many times the finest step betwee
 
 def frozen_rows(track: Track) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """(N,) samples that only repeat what was read before, in stretches of 60 ms and more."""
-    values = np.hstack((track.acc_mps2, track.gyr_radps))
-    same = np.concatenate(([False], (values[1:] == values[:-1]).all(axis=1)))
+    columns = (*track.acc_mps2.T, *track.gyr_radps.T)
+    same = np.append(False, np.logical_and.reduce([column[1:] == column[:-1] for column in columns]))
     edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False])).astype(np.int8)))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         brief = track.t_sensor_ns[end - 1] - track.t_sensor_ns[begin - 1] < FROZEN_NS
-        if brief or _rests(values[begin - 1 : end + 1]):
+        if brief or _rests(np.column_stack([column[begin - 1 : end + 1] for column in columns])):
             same[begin:end] = False
     return same
 

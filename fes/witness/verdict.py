@@ -172,8 +172,10 @@ def _lie(fit: Fit, k: int, strides: int) -> Lie:
 
 def _later(spans: Spans) -> list[Lie]:
     """What the last strides show and the first ones do not, from the stride on at which it begins."""
+    if len(spans) < 2 * FEWEST:
+        return []
     lies, _, fit = _judged(estimate(spans.part(slice(-FEWEST, None))), FEWEST)
-    if not lies or len(spans) < 2 * FEWEST:
+    if not lies:
         return []
     first = estimate(spans.part(slice(FEWEST))).plain
     for _ in range(2):

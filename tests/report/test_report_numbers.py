@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from fes.live.operator import NO_STOP
 from fes.report.by_hand import hand_rows
 from fes.report.findings import findings, merged
+from fes.report.key_numbers import share_between
 from fes.report.stimulation import build_timeline, command_columns, phases_between
 from fes.report.summary import summarise
 from fes.report.text import plain, readable
@@ -428,3 +429,11 @@ def test_a_sum_over_two_feet_says_so() -> None:
     passed = [next(f.text for f in findings(summarise(each)) if "passed all four" in f.text) for each in (one, two)]
     assert passed[0].startswith("1 of 1 stride passed")
     assert passed[1].startswith("Both feet together: 2 of 2 strides passed")
+
+
+@pytest.mark.parametrize(("count", "of"), [(0, 7), (7, 7), (1, 40), (39, 40), (500, 1000)])
+def test_interval_of_a_share_is_wilsons(count, of):
+    from scipy.stats import binomtest
+
+    wilson = binomtest(count, of).proportion_ci(0.95, method="wilson")
+    assert share_between(count, of) == pytest.approx((wilson.low, wilson.high), abs=1e-12)

@@ -22,6 +22,7 @@ from fes.analysis.parameters.strides import PARAMETER_COLUMNS, motion_of, stride
 from fes.analysis.results import Analysis
 from fes.analysis.tables import Table, join_tables, table_of
 from fes.estimation.clearance.clearance import FootArms, arms_of
+from fes.recording.at_once import at_once
 from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
 from fes.walk_record import finite_or_none
 
@@ -226,11 +227,18 @@ def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitPa
     every = {foot: found[found["foot"] == foot] for foot in feet}
     valid = {foot: own[own["valid"]] for foot, own in every.items()}
     scales = equalise_sides(every)
-    paths = {foot: analysis.blocks[foot].paths() for foot in feet}
-    pitch = {foot: pitches(paths[foot]) for foot in feet}
-    swings = {foot: swings_of(paths[foot], pitch[foot], analysis.events[foot], _arms(analysis, foot)) for foot in feet}
-    places = {foot: paths[foot].places(valid[foot]["number"]) for foot in feet}
-    own_swings = {foot: Swings(*(times[places[foot]] for times in swings[foot])) for foot in feet}
+
+    def seen(foot: str) -> tuple[Swings, Swings, dict[str, FloatArray]]:
+        """All its swings, those of its valid strides, and what the paths of these show."""
+        paths = analysis.blocks[foot].paths()
+        pitch = pitches(paths)
+        swings = swings_of(paths, pitch, analysis.events[foot], _arms(analysis, foot))
+        places = paths.places(valid[foot]["number"])
+        own = Swings(*(times[places] for times in swings))
+        return swings, own, motion_of(valid[foot], paths.chosen(places), pitch, own)
+
+    of_feet = at_once(seen, feet)
+    own_swings = {foot: own for foot, (_, own, _) in of_feet.items()}
     tracks = [analysis.recording.tracks[foot] for foot in feet]
     lengths, why = dict[str, FloatArray](), "no foot sensor"
     if tracks:
@@ -238,8 +246,8 @@ def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitPa
         lengths, why = step_lengths(every, own_swings, span, scales)
     strides = {}
     for foot in feet:
-        own, other = own_swings[foot], next((swings[name] for name in feet if name != foot), no_swings(0))
-        motion = motion_of(valid[foot], paths[foot].chosen(places[foot]), pitch[foot], own)
+        _, own, motion = of_feet[foot]
+        other = next((of_feet[name][0] for name in feet if name != foot), no_swings(0))
         steps = steps_of(valid[foot], own, other)
         strides[foot] = stride_parameters(valid[foot], motion, own, steps, lengths.get(foot), scales[foot])
     means = {foot: statistics_of(rows) for foot, rows in strides.items()}

@@ -317,11 +317,12 @@ def _other_way(
             f"no one way forward: {astray.sum()} of {len(travel)} movements lead more than "
             f"{math.degrees(ASTRAY_RAD):.0f}° away from where all together lead, seen from the foot."
         )
-    angle = np.cumsum(gyr @ np.stack((left, ahead), axis=1), axis=0) / rate_hz
-    tilts = np.empty((len(spans), 4))
+    angle = np.stack([np.cumsum(gyr @ axis) / rate_hz for axis in (left, ahead)])
+    tilts, steps = np.empty((len(spans), 4)), np.arange(1.0 + np.diff(spans).max())
     for k, (first, last) in enumerate(spans.tolist()):
-        tilt = angle[first : last + 1] - np.linspace(angle[first], angle[last], last - first + 1)
-        tilts[k] = *tilt.max(axis=0), *-tilt.min(axis=0)
+        own = angle[:, first : last + 1] - angle[:, first, None]
+        tilt = own - own[:, -1:] / (last - first) * steps[: last + 1 - first]
+        tilts[k] = *tilt.max(axis=1), *-tilt.min(axis=1)
     toe_down, one_side, toe_up, other_side = np.degrees(_medians(tilts)).tolist()
     if toe_up - toe_down > math.degrees(BACKWARD_RAD):
         seen = f"on its way the foot tilts toe-up by {toe_up:.0f}° and toe-down by {toe_down:.0f}°"
@@ -474,7 +475,7 @@ def _large(values: FloatArray, share: float) -> npt.NDArray[np.bool_]:
 
 def _level(vectors: FloatArray, up: FloatArray) -> FloatArray:
     """Vectors (K, 3) without what is along gravity."""
-    return np.asarray(vectors - np.outer(vectors @ up, up))
+    return np.asarray(vectors - (vectors @ up)[:, None] * up)
 
 
 def _typical(vectors: FloatArray, up: FloatArray) -> FloatArray:
@@ -576,7 +577,7 @@ def stretch_for_calibration(t_ns: IntArray, gyr_radps: FloatArray, longest_s: fl
     """The samples to calibrate on: a minute from where the foot first moves, not the whole recording, as a live session
     would; with a few seconds before, which may show the gyroscope's bias.
     """
-    moving = np.flatnonzero(np.abs(gyr_radps).max(axis=1, initial=0.0) > MOVING_RADPS)
-    begin_ns = (t_ns[moving[0]] if len(moving) else t_ns[0]) - int(STILL_BEFORE_S * NS_PER_S)
+    moving = np.argmax(np.abs(gyr_radps.ravel()) > MOVING_RADPS) // 3
+    begin_ns = t_ns[moving] - int(STILL_BEFORE_S * NS_PER_S)
     begin, end = np.searchsorted(t_ns, (begin_ns, max(begin_ns, t_ns[0]) + int(longest_s * NS_PER_S)), side="left")
     return slice(int(begin), int(end))
