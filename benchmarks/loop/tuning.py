@@ -446,6 +446,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="file of results, a line a person and trial")
     parser.add_argument("--kept", action="store_true", help="nobody walks: the tables of who stands in the file")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
+    parser.add_argument("--place", type=int, default=0, help="between which of its markers, from 0 on")
     asked = parser.parse_args()
     names = list(TRIALS) if "all" in asked.trials else asked.trials
     groups = [
@@ -485,9 +486,9 @@ def main() -> None:
             said += ["", *notes, ""]
     print("\n".join(said))
     if asked.write is not None:
-        before, rest = asked.write.read_text(encoding="utf-8").split(BEGIN)
-        text = "\n".join(said)
-        asked.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+        parts = asked.write.read_text(encoding="utf-8").split(BEGIN)
+        parts[asked.place + 1] = "\n".join(("", *said, END)) + parts[asked.place + 1].split(END)[1]
+        asked.write.write_text(BEGIN.join(parts), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -213,11 +214,12 @@ def main() -> int:
         print("No recordings; set FES_DATA.", file=sys.stderr)
         return 3
     rows, left_out = list[Row](), 0
-    for walker in feet:
-        found = rows_of(walker, options.lies)
-        left_out += not found
-        rows += found
-        print(walker.foot.data_set, walker.foot.person, len(found), file=sys.stderr, flush=True)
+    with suppress(KeyboardInterrupt):  # the tables are of those who walked by then
+        for walker in feet:
+            found = rows_of(walker, options.lies)
+            left_out += not found
+            rows += found
+            print(walker.foot.data_set, walker.foot.person, len(found), file=sys.stderr, flush=True)
     tables = [table_of(rows, options.lies, known=known) for known in (False, True)]
     notes = [f"{left_out} of {len(feet)} feet cannot be calibrated, or are latched before the lie begins."]
     publish(console_of(220), tables, options, notes, data_folder())
