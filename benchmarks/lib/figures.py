@@ -268,10 +268,12 @@ LONG: dict[str, Sequence[str]] = {
     "shank-phases": ("accuracy/shank_phases.py",),
     "orientation-limits": ("accuracy/orientation_limits.py",),
     "witness": ("safety/witness.py",),
+    "live-lies": ("safety/live_lies.py", "--feet", "9"),
     "witness-sound": ("safety/witness.py", "--lies", "--seconds", "1000"),
+    "speed-live-road": ("speed/live_latency.py",),
     **{
         f"speed-{part}": ("speed/speed_table.py", "--only", part)
-        for part in ("analysis", "live", "peers", "growth", "session", "cohort")
+        for part in ("road", "analysis", "live", "peers", "growth", "session", "cohort")
     },
 }
 ELSEWHERE = {"hil": "make hil"}  # hours, by a command of its own

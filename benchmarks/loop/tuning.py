@@ -19,7 +19,7 @@ in every arm: of whom calibration refuses, or the gate latches, every stride fro
 counts is the patient's true toe clearance. Differences are means over patients, with the 95 % interval of a bootstrap
 over them.
 
-The second patient (:mod:`second_patient`) shares nothing with the first, and no tuning was developed on it.
+The second patient (:mod:`second_patient`) shares nothing with the first.
 """
 
 from __future__ import annotations
@@ -325,7 +325,9 @@ class Kept:
     def __init__(self, path: Path | None) -> None:
         self.results: dict[tuple[bool, int, str, str], Result] = {}
         self._path = path
-        files = set((Path(__file__).resolve().parents[2] / "fes" / "stimulation" / "tuning").glob("*.py"))
+        here = Path(__file__).resolve().parent
+        files = {*(here.parents[1] / "fes" / "stimulation" / "tuning").glob("*.py"), here / "plain_rule.py"}
+        files |= {here / "second_patient.py", here / "tuning_cohort.py", here / "closed_loop_walk.py"}
         others = digest(file for file in files if file.name not in OWN_RULE)
         self._tuning = {arm: digest(files) if arm in ("tuner", "two") else others for arm in ARMS}
         for line in path.read_text(encoding="utf-8").splitlines() if path is not None and path.is_file() else ():
@@ -448,6 +450,8 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
     parser.add_argument("--place", type=int, default=0, help="between which of its markers, from 0 on")
     asked = parser.parse_args()
+    if asked.write is not None and asked.write.read_text(encoding="utf-8").count(BEGIN) <= asked.place:
+        parser.error(f"{asked.write} has no such place for tables")
     names = list(TRIALS) if "all" in asked.trials else asked.trials
     groups = [
         ("The first patient model", range(asked.first, asked.first + asked.patients), names, asked.arms, False),

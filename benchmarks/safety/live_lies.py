@@ -8,7 +8,7 @@ without the lie says which phase the foot is in. By lie and half of the persons:
 
 - *latched within*: feet whose gate latched before so many strides had ended since the lie began;
 - *witness in*: of the others those of whom the witness told something within so many strides;
-- *never*: neither, until the recording's end;
+- *never*: neither, the witness within the last of its strides;
 - *in stance*: ms of current in all since the lie began, while the foot stands (less the last 150 ms of a stance, in
   which a burst may begin early): median, 95 %, most; and how many feet got more than 100 ms;
 - *length*: the live stride length over that of the sound walk, median [5, 95 %] of feet.

@@ -178,7 +178,7 @@ def main() -> int:
             return 1
         rows = rows_of(read_session(log), options.hogs, options.rate)
     if options.json is not None:
-        result_of(f"live_latency.py --minutes {options.minutes:g}", rows, told).keep(options.json)
+        result_of(f"speed/live_latency.py --minutes {options.minutes:g}", rows, told).keep(options.json)
     return print_rows(rows, "The live road")
 
 

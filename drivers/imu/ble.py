@@ -55,7 +55,7 @@ class BleConnection:
         self._thread.start()
         try:
             self._await(self._connect(device.port, notifies, services, find_s), 3.0 * find_s)
-        except ImuLost:
+        except BaseException:  # Ctrl-C during the search, too
             self.close()
             raise
 

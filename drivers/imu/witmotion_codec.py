@@ -86,6 +86,7 @@ class WitmotionDecoder:
                 counts.bad_frames += possible
                 counts.bytes_skipped += 1
                 at += 1
+                self._parts = {}  # what was lost may have been a part of another sample
                 continue
             at += FRAME_BYTES
             if (message := self._taken(frame[1], frame[2:-1])) is not None:

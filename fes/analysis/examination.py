@@ -49,9 +49,8 @@ class Analysis(Protocol):
     def testimonies(self) -> dict[str, Testimony]: ...  # noqa: D102
 
 
-APART: Final = (
-    0.08  # of the speed: by so much two sound feet are never measured apart on a belt (6 % at most, 20 walks)
-)
+# Of the speed: on a belt two sound feet were measured apart by 6 % at most, in 20 walks.
+APART: Final = 0.08
 STRAIGHT_RAD: Final = math.radians(10.0)  # of a stride: in a curve the outer foot goes farther
 GREAT: Final = 0.05  # of a key number: what is more has to be looked at before the numbers are used
 _REMEDIES: Final = {
@@ -119,15 +118,15 @@ def _feet_apart(strides: Table) -> Iterator[Finding]:
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
     if len(pairs) < FEWEST:
         return
-    ratio = pairs[:, 0].sum() / pairs[:, 1].sum()
-    sd = np.std(pairs[:, 0] - ratio * pairs[:, 1], ddof=1) / (pairs[:, 1].mean() * math.sqrt(len(pairs)))
-    if abs(ratio - 1.0) < max(APART, SURE * sd):
+    farther, other = ("left", "right") if pairs[:, 0].sum() > pairs[:, 1].sum() else ("right", "left")
+    one, two = pairs.T if farther == "left" else pairs.T[::-1]
+    share = one.sum() / two.sum() - 1.0
+    sd = np.std(one - (1.0 + share) * two, ddof=1) / (two.mean() * math.sqrt(len(pairs)))
+    if share < max(APART, SURE * sd):
         return
-    farther, other = ("left", "right") if ratio > 1.0 else ("right", "left")
-    share, sd = (ratio - 1.0, sd) if ratio > 1.0 else (1.0 / ratio - 1.0, sd / ratio**2)
-    cause = f"in {len(pairs)} straight strides the {farther} foot went {share:.0%} ± {sd:.0%} farther than the {other}"
+    cause = f"in {len(pairs)} straight strides the {farther} foot went {share:.1%} ± {sd:.1%} farther than the {other}"
     effect = "one foot's stride lengths, speeds and clearances are wrong, and so is their symmetry"
-    remedy = "see which sensor sits loosely or drags, or measure a walk of known length"
+    remedy = "see which sensor sits loosely or drags, or measure a walk of known length; on a split belt it is no fault"
     text = f"Feet: {cause}, though both walk the same way: {effect}. {_upper(remedy)}."
     yield Finding("alert", text, False, "feet_apart", ", ".join(FOOT_SENSORS), cause, effect, remedy)
 

@@ -3,6 +3,7 @@ the processors."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import parent_process
 from typing import TypeVar
 
 Made = TypeVar("Made")
@@ -12,5 +13,7 @@ def at_once(work: Callable[[str], Made], sensors: Iterable[str]) -> dict[str, Ma
     """What ``work`` makes of each sensor, by their names and in their order; an error of the first that fails is
     raised."""
     names = list(sensors)
+    if len(names) < 2 or parent_process() is not None:  # one of several processes, which share the processors already
+        return {name: work(name) for name in names}
     with ThreadPoolExecutor() as threads:
         return dict(zip(names, threads.map(work, names), strict=True))

@@ -55,8 +55,10 @@ class Tuners:
                     self._watches[number] = FaultWatch(tuner.channel)  # on other ground the foot answers otherwise
                     tuner.acted("ground", incline)
             elif act.action is not OperatorAction.SET_BELT_SPEED:
-                for each in self._filters.values():
+                for number, each in self._filters.items():
                     each.operator_changed(act.t_ns)
+                    if act.action is OperatorAction.ARM:  # what was before the stop is another walk
+                        self._watches[number] = FaultWatch(self.tuners[number].channel)
             if act.action is not OperatorAction.SET_INTENSITY:
                 return ()
             lowered, self._intensity = 0.0 < act.value < self._intensity, act.value

@@ -11,6 +11,7 @@ const STALE_MS = 500;
 const OLD_MS = 40; // the gate takes no older sample
 const SILENT_MS = 1000;
 const SAID_MS = 5000;
+const ANSWER_MS = 10_000; // later the session takes no yes
 const ROWS = 10;
 const MARKS_KEPT = 6; // to be set again by one press
 const NUMBERED = /^mark \d+$/;
@@ -90,7 +91,12 @@ function row(stride) {
 function note(ms, severity, text) {
   if (severity === "info" && text.startsWith("state ")) return; // the head of the page says it
   if (severity === "mark" && !NUMBERED.test(text)) again(text);
-  $("notes").prepend(make("li", { class: severity }, make("time", {}, clock(ms)), text));
+  const like = `${severity} ${text.replace(/\d+(\.\d+)?/g, "#")}`; // but for its numbers the same as one of the newest
+  const before = ["info", "warning"].includes(severity) && [...$("notes").children].slice(0, 6).find((each) => each.dataset.like === like);
+  const times = before ? Number(before.dataset.times) + 1 : 1;
+  if (before) before.remove();
+  const told = times > 1 ? `${text} (${times} times)` : text;
+  $("notes").prepend(make("li", { class: severity, "data-like": like, "data-times": times }, make("time", {}, clock(ms)), told));
   while ($("notes").children.length > 40) $("notes").lastChild.remove();
 }
 
@@ -280,6 +286,9 @@ function question(asked) {
   $("question").hidden = false;
   $("question").dataset.id = asked.id;
   view.asked = performance.now();
+  setTimeout(() => {
+    if (!$("question").hidden && $("question").dataset.id === String(asked.id)) said("No answer within 10 s: nothing was done.");
+  }, ANSWER_MS);
 }
 
 $("stop").addEventListener("pointerdown", stop); // when it goes down, not when it comes up

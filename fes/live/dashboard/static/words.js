@@ -6,7 +6,7 @@ export const STATES = {
   armed: ["ARMED", "Current is allowed. Waiting for steps."],
   running: ["WALKING", "Armed: each step is stimulated."],
   paused: ["PAUSED", "No current. The intensity is kept."],
-  stopped: ["EMERGENCY STOP", "Everything is off until it is armed again by hand."],
+  stopped: ["EMERGENCY STOP", "Everything is off. To go on: the patient stands, then Arm; the intensity begins at 0 %."],
   fault: ["FAULT", "Everything is off until it is armed again by hand."],
 };
 
