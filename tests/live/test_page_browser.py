@@ -150,6 +150,8 @@ def test_nothing_overlaps_with_one_to_six_sensors_on_any_screen(
         assert page.run("document.documentElement.scrollWidth") <= width
         stop = page.run("(r => [r.top, r.bottom])(document.getElementById('stop').getBoundingClientRect())")
         assert 0 <= stop[0] < stop[1] <= height
+        seen, whole = page.run("(l => [l.clientHeight, l.scrollHeight])(document.getElementById('notices'))")
+        assert seen >= min(whole, 0.29 * height), f"at {width} px the notices are cut to {seen} of {whole} px"
     page.run("document.getElementById('feet').replaceChildren()")
 
 
