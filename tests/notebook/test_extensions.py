@@ -88,14 +88,16 @@ def test_a_sensor_is_opened_by_its_name_in_the_settings(installed, tmp_path):
 
 
 def test_an_unknown_device_is_refused_with_those_that_are_there(installed):
-    with pytest.raises(ConfigError, match=r"sensors\[0\].device = 'gaitlab_line': .*'xbus'.*'lsl' or 'gaitlab_lines'"):
+    with pytest.raises(
+        ConfigError, match=r"sensors\[0\].device = 'gaitlab_line': .*'xbus'.*'movella_dot' or 'gaitlab_lines'"
+    ):
         validate_session(session(device="gaitlab_line"), Path("session.toml"))
     with pytest.raises(ConfigError, match=r"stimulator.device = 'bench': .*'can'.* or 'gaitlab_bench'"):
         validate_session({"name": "x", "stimulator": {"device": "bench", "port": "p"}}, Path("session.toml"))
 
 
 def test_without_the_package_its_devices_are_unknown():
-    with pytest.raises(ConfigError, match=r"'capture2go_ble' or 'lsl'$"):
+    with pytest.raises(ConfigError, match=r"'capture2go_ble' or 'movella_dot'$"):
         validate_session(session(), Path("session.toml"))
 
 
