@@ -66,7 +66,7 @@ class Bench:
     def __init__(self, offset_s: float = 77.0, wire: MovellaDotWire | None = None, **radio: float) -> None:
         self.offset_ns = round(offset_s * NS_PER_S)
         imu = SimulatedImu(wire or MovellaDotWire(60.0), COUNTED, START_NS, offset_s=offset_s)
-        self.radio = Radio(imu, START_NS, whole=True, **radio)  # type: ignore[arg-type]
+        self.radio = Radio(imu, START_NS, whole=True, **radio)
         self.line = DeviceLine(self.radio, START_NS)
 
     def port(self) -> MovellaDotImu:

@@ -103,7 +103,7 @@ class Bench:
             self.written.append(data)
             return send(t_ns, data)
 
-        self.imu.receive = receive  # type: ignore[method-assign]
+        self.imu.receive = receive
         return WitmotionImu(settings or self.settings(), self.line.clock_ns, lambda *_: self.line)
 
     def listen(self, port: WitmotionImu, seconds: float) -> list[RawSample]:
