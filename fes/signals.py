@@ -210,7 +210,9 @@ class StrideResult:
     by the sensor alone, whatever the ground is said to be, ``clearance_m`` the sensor's greatest height over the line
     from start to end; ``toe_clearance_m`` the least height of the toe in mid-swing and ``heel_clearance_m`` the heel's
     greatest height, NaN unless the session says where the sensor sits. The ``t_*`` phase entries are None where the
-    stride did not pass that phase. ``valid`` is False, with ``reason``, where the numbers must not be used.
+    stride did not pass that phase. ``left_over`` (6,) is what a sound sensor at rest would have left over at its end
+    (:func:`fes.estimation.closures.closures`); empty of a shank. ``valid`` is False, with ``reason``, where the numbers
+    must not be used.
     """
 
     foot: str
@@ -235,3 +237,4 @@ class StrideResult:
     roll_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     stride_length_sd_m: float = field(default=math.nan, compare=False)  # not in session logs
     free_rise_m: float = field(default=math.nan, compare=False)  # nor this
+    left_over: tuple[float, ...] = field(default=(), compare=False, repr=False)  # nor these

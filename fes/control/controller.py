@@ -79,7 +79,7 @@ class Controller:
         }
         self._late = frozenset(foot for foot, sensor in sensor_of.items() if sensor in session.by_radio)
         self._foreseen_late = sorted(self._late & self.onsets.keys())
-        self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma, bounded=self._late)
+        self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma, late=self._late)
         self.tuning = Tuners(session)
         self._reports: list[TuningReport] = []
         self._notes: list[Note] = []
@@ -212,6 +212,9 @@ class Controller:
         elif act.action is not OperatorAction.SET_BELT_SPEED:
             # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()
+            if act.action is OperatorAction.ARM:
+                for judge in self._judges.values():
+                    judge.order.begin_anew()
 
     def _due(self, t_ns: int, at_once: bool) -> tuple[StimRequest, ...]:
         """One request per channel each command period, and at once when a channel goes on or off."""

@@ -63,7 +63,7 @@ def _mean_force(t_s: FloatArray, acc: FloatArray, middle: int, lag_s: float) -> 
 
 
 @jit_fused
-def _close(
+def close_stride(
     t_s: FloatArray, acc: FloatArray, gyr: FloatArray, first: int, last: int,
     sensor: FloatArray, axes: FloatArray, found: FloatArray,
 ) -> None:  # fmt: skip
@@ -110,7 +110,7 @@ def _close_all(
 ) -> None:  # fmt: skip
     for p in range(sensors.shape[0]):
         for k in range(first.size):
-            _close(t_s, acc, gyr, first[k], last[k], sensors[p, k], axes[p], found[p, k])
+            close_stride(t_s, acc, gyr, first[k], last[k], sensors[p, k], axes[p], found[p, k])
 
 
 def closures(

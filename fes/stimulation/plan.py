@@ -40,7 +40,10 @@ LATEST_NS = 500_000_000  # a burst that would have to wait longer, for a rest or
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 LOST = Transition.NONE
 EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
-LASTED = 10  # strides; the longest counts, for to end before contact may let the toe catch
+LASTED = 10  # strides; by radio the longest counts, for to end before contact may let the toe catch
+LATER_NS = 100_000_000  # and a quarter of the usual time later: the end was not seen, and the burst falls
+GROWS_NS = 20_000_000  # a stride, at most, is what is usual
+NEVER_NS = 1 << 62
 
 
 @dataclass(slots=True, eq=False)
@@ -49,10 +52,11 @@ class _ChannelState:
 
     ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
     ``steady``, the burst last asked for, stays on until ``steady_ns`` once it is. ``upcoming`` are the parameters of
-    the next burst, ``taken`` those of the burst awaited or under way. ``before`` is the phase before the stop phase,
-    entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last. ``started_ns`` is the entry into
-    the start phase, ``lasted_ns`` how long it was from there to the stop phase last; a burst that began early has a
-    ``latest_ns``, when it is to fall. ``bounded``: so has every burst.
+    the next burst, ``taken`` those of the burst awaited or under way. ``before`` is the phase before the stop phase.
+    ``entered_ns`` is when this cycle entered each phase of the burst, ``lasted_ns`` how long it was from there to the
+    stop phase last, ``usual_ns`` the median; ``latest_ns`` is when a burst is to fall though that has
+    not been seen, ``held`` where nothing may put it off, for it began early. ``late``: the samples come late, so that
+    the end is always predicted.
     """
 
     channel: Channel
@@ -62,7 +66,7 @@ class _ChannelState:
     before: Phase
     upcoming: BurstParameters
     taken: BurstParameters
-    bounded: bool = False
+    late: bool = False
     partners: tuple[_ChannelState, ...] = ()
     awaited_ns: int | None = None
     burst: Envelope | None = None
@@ -72,60 +76,64 @@ class _ChannelState:
     off_since_ns: int | None = None
     by_hand_ns: int | None = None
     adopt: bool = False
-    before_ns: int | None = None
-    approaches_ns: deque[int] = field(default_factory=lambda: deque(maxlen=EXPECTED_FROM))
-    started_ns: int | None = None
-    lasted_ns: deque[int] = field(default_factory=lambda: deque(maxlen=LASTED))
+    entered_ns: dict[Phase, int] = field(default_factory=dict)
+    lasted_ns: dict[Phase, deque[int]] = field(default_factory=dict)
+    usual_ns: dict[Phase, int] = field(default_factory=dict)
     latest_ns: int | None = None
+    held: bool = False
 
     def note(self, change: PhaseChange) -> None:
         """How long the phases up to the stop phase take; a cycle that was lost, or went another way, is forgotten."""
-        if change.transition == LOST or change.destination not in self.run:
-            self.before_ns = self.started_ns = self.latest_ns = None
+        phase, t_ns = change.destination, change.t_ns
+        if change.transition == LOST or phase not in self.run:
+            self.entered_ns.clear()
+            self.latest_ns = None
             if change.transition == LOST:
-                self.approaches_ns.clear()
                 self.lasted_ns.clear()
-        elif change.destination == self.stop:
-            if self.before_ns is not None:
-                self.approaches_ns.append(change.t_ns - self.before_ns)
-            if self.started_ns is not None:
-                self.lasted_ns.append(change.t_ns - self.started_ns)
-            self.before_ns = self.started_ns = None
+        elif phase == self.stop:
+            for entered, since_ns in self.entered_ns.items():
+                lasted_ns = self.lasted_ns.setdefault(entered, deque(maxlen=LASTED))
+                # what lasts longer because its end is not seen must not become usual soon
+                most_ns = self.usual_ns[entered] + GROWS_NS if len(lasted_ns) >= EXPECTED_FROM else NEVER_NS
+                lasted_ns.append(t_ns - since_ns)
+                self.usual_ns[entered] = min(sorted(lasted_ns)[len(lasted_ns) // 2], most_ns)
+            self.entered_ns.clear()
         else:
-            if change.destination == self.start:
-                self.before_ns, self.started_ns = None, change.t_ns
-            if change.destination == self.before:
-                self.before_ns = change.t_ns
+            if phase == self.start:
+                self.entered_ns.clear()
+            self.entered_ns[phase] = t_ns
 
     def due_ns(self) -> int | None:
         """When this cycle's burst is to fall though the stop phase has not come; None for not before it."""
-        early_ns = to_ns(-self.taken.extension_s)
-        waits = early_ns <= 0 and not self.bounded
-        if waits or self.before_ns is None or len(self.approaches_ns) < EXPECTED_FROM:
+        early_ns, last_ns = to_ns(-self.taken.extension_s), list(self.lasted_ns.get(self.before, ()))[-EXPECTED_FROM:]
+        waits = early_ns <= 0 and not self.late
+        if waits or self.before not in self.entered_ns or len(last_ns) < EXPECTED_FROM:
             return self.latest_ns
-        due_ns = self.before_ns + max(max(self.approaches_ns) - early_ns, 0)
-        return due_ns if self.latest_ns is None or not self.bounded else min(due_ns, self.latest_ns)
+        due_ns = self.entered_ns[self.before] + max(max(last_ns) - early_ns, 0)
+        return due_ns if self.latest_ns is None else min(due_ns, self.latest_ns)
 
     @property
     def foreseen(self) -> bool:
         """Whether it is known when a burst that starts now is to fall, as far as that has to be known."""
-        return not self.bounded or (len(self.approaches_ns) >= EXPECTED_FROM and bool(self.lasted_ns))
+        return not self.late or len(self.lasted_ns.get(self.before, ())) >= EXPECTED_FROM
 
-    def bound(self, t_ns: int) -> None:
-        """The start phase was entered: note when its burst falls at the latest."""
-        if self.bounded and self.lasted_ns:
-            due_ns = t_ns + max(self.lasted_ns) + max(to_ns(self.taken.extension_s), 0)
-            self.latest_ns = due_ns if self.latest_ns is None else min(self.latest_ns, due_ns)
+    def bound(self, phase: Phase, t_ns: int) -> None:
+        """A phase of the burst was entered: note when the burst falls at the latest."""
+        if self.lasted_ns.get(phase):
+            longest_ns = max(self.lasted_ns[phase]) if self.late else self.usual_ns[phase] * 5 // 4 + LATER_NS
+            due_ns = t_ns + longest_ns + max(to_ns(self.taken.extension_s), 0)
+            # by cable a phase that took its time is over, whatever was foreseen
+            kept = (self.late or self.held) and self.latest_ns is not None
+            self.latest_ns = min(self.latest_ns or due_ns, due_ns) if kept else due_ns
 
     def confirmed(self, t_ns: int) -> Envelope | None:
         """The burst that began early and is still on at the entry into the start phase, as it goes on; None if none."""
         burst = self.burst
-        if burst is None or self.latest_ns is None or burst.over(t_ns):
+        if burst is None or not self.held or burst.over(t_ns):
             return None
         left_ns = burst.extension_ns - max(t_ns - burst.t_start_ns, 0)
-        if left_ns >= 0 and not self.bounded:
-            self.latest_ns = None
-        self.bound(t_ns)
+        self.held = left_ns < 0
+        self.bound(self.start, t_ns)
         whole = Envelope.for_channel(self.channel, burst.t_start_ns, burst.intensity, self.taken, self.latest_ns)
         return replace(whole, extension_ns=max(left_ns, 0))
 
@@ -140,7 +148,7 @@ class StimulationPlan:
         channels: the session's channels, with distinct numbers.
         current_step_ma: the device's step of current; requests are rounded down to it, and below one step is off.
         pulse_width_step_us: its step of pulse width.
-        bounded: feet whose samples come late.
+        late: feet whose samples come late.
     """
 
     def __init__(
@@ -149,13 +157,13 @@ class StimulationPlan:
         *,
         current_step_ma: float = 0.5,
         pulse_width_step_us: float = 1.0,
-        bounded: frozenset[str] = frozenset(),
+        late: frozenset[str] = frozenset(),
     ) -> None:
         self._current_step_ma = current_step_ma
         self._pulse_width_step_us = pulse_width_step_us
         self._states = tuple(_state_of(channel) for channel in channels)
         for state in self._states:
-            state.bounded = state.channel.foot in bounded
+            state.late = state.channel.foot in late
             state.partners = tuple(other for other in self._states if _exclusive(state.channel, other.channel))
 
     def on_phase(self, change: PhaseChange, *, permitted: bool) -> None:
@@ -173,15 +181,17 @@ class StimulationPlan:
                 elif permitted and (confirmed := state.confirmed(change.t_ns)):
                     state.burst = confirmed
                 else:
-                    state.burst, state.latest_ns, state.taken = None, None, state.upcoming
-                    state.bound(change.t_ns)
+                    state.burst, state.latest_ns, state.held, state.taken = None, None, False, state.upcoming
+                    state.bound(state.start, change.t_ns)
                     starts = permitted and state.foreseen
                     state.awaited_ns = change.t_ns + to_ns(state.taken.start_delay_s) if starts else None
                 state.by_hand_ns, state.adopt = None, False
             elif change.destination == state.stop:
                 state.awaited_ns = None
                 state.burst = state.burst.stopped(change.t_ns) if state.burst else None
-            if state.burst is not None and change.destination == state.before:
+            else:
+                state.bound(change.destination, change.t_ns)
+            if state.burst is not None and change.destination in (state.before, *state.entered_ns):
                 state.burst = state.burst.due(state.due_ns())
 
     def begin_early(self, foot: str, t_ns: int, intensity: float) -> bool:
@@ -193,15 +203,15 @@ class StimulationPlan:
         begun = False
         for state in self._states:
             busy = state.on or state.burst is not None or state.awaited_ns is not None
-            if busy or state.channel.onset != "predicted" or state.channel.foot != foot or not state.lasted_ns:
+            if busy or state.channel.onset != "predicted" or state.channel.foot != foot:
                 continue
-            if not state.foreseen:
+            if not state.foreseen or not state.lasted_ns.get(state.start):
                 continue
-            state.taken, state.awaited_ns, state.latest_ns = state.upcoming, t_ns, None
+            state.taken, state.awaited_ns, state.latest_ns, state.held = state.upcoming, t_ns, None, True
             state.by_hand_ns, state.adopt = None, False
             burst, state.awaited_ns = self._burst(state, t_ns, intensity), None
             if burst is not None and self._is_on(burst, t_ns):
-                state.latest_ns = t_ns + max(state.lasted_ns) + burst.extension_ns
+                state.latest_ns = t_ns + max(state.lasted_ns[state.start]) + burst.extension_ns
                 most_ns = min(FALSE_NS, burst.max_on_ns)  # until the heel has risen, and off without a ramp
                 state.burst, begun = replace(burst, max_on_ns=most_ns, fall_ns=0, t_due_ns=state.latest_ns), True
         return begun

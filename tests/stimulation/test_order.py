@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fes.calibration.recording import calibrate_phase_sensors, save
@@ -18,7 +20,7 @@ from fes.recording.tracks import samples_of
 from fes.report.findings import findings
 from fes.report.summary import summarise
 from fes.signals import StrideResult
-from fes.stimulation.order import OrderJudge
+from fes.stimulation.order import AGAIN, ALIKE, CLOSES_SD, KNOWN, KNOWN_FROM, OrderJudge
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import Phase, PhaseChange, Transition
 from tests.replays import replay, trial
@@ -56,10 +58,14 @@ class Foot:
         return self.walking.order
 
     def go(
-        self, fired: tuple[Transition, ...] = CYCLE, result: StrideResult | None = None, cycle_s: float = 1.2
+        self,
+        fired: tuple[Transition, ...] = CYCLE,
+        result: StrideResult | None = None,
+        cycle_s: float = 1.2,
+        each_s: float = 0.1,
     ) -> bool:
         """One cycle from its heel rise on, then its stride. Whether a burst might begin with it."""
-        permitted = [self._change(each, 0.1 * k) for k, each in enumerate(fired)]
+        permitted = [self._change(each, each_s * k) for k, each in enumerate(fired)]
         self.now_s += cycle_s
         self.walking.on_stride(result or stride())
         return permitted[0]
@@ -192,3 +198,91 @@ def test_a_reversed_axis_is_named_once_logged_reported_and_no_burst_begins(tmp_p
     summary = summarise(record)
     assert any(each.level == "warning" and "came into disorder" in each.text for each in findings(summary))
     assert "in disorder" in json.dumps(summary.to_json())
+
+
+# --- a sensor that changes --------------------------------------------------------------------------------------------
+
+
+def closing(off: float = 0.0, at: int = 0, seed: int = 0) -> StrideResult:
+    """A stride that closes as this person's do, and ``off`` standard deviations of people elsewhere in one number."""
+    noise = np.random.default_rng(seed).normal(size=5) * 0.3
+    noise[at] += off
+    left = (noise * CLOSES_SD).tolist()
+    return replace(stride(), left_over=(*left[:3], 0.3, *left[3:]))  # the height may be anything
+
+
+def walked(strides: int = KNOWN) -> Foot:
+    foot = Foot()
+    for k in range(strides):
+        foot.go(result=closing(seed=k))
+    return foot
+
+
+@pytest.mark.parametrize("at", range(5))
+def test_strides_that_close_elsewhere_stop_bursts(at: int) -> None:
+    foot = walked()
+    permitted = [foot.go(result=closing(30.0, at, 100 + k)) for k in range(ALIKE + 2)]
+    assert permitted == [True] * ALIKE + [False] * 2
+    assert "do not come to rest" in foot.order.describe()
+    assert "arm again" in foot.order.describe()
+
+
+def test_one_stumble_stops_nothing() -> None:
+    foot = walked()
+    for k in range(12):
+        assert foot.go(result=closing(50.0 * (k % 3 == 0), k % 5, 200 + k))
+
+
+def test_they_begin_again_when_strides_close_as_before() -> None:
+    foot = walked()
+    for k in range(8):
+        foot.go(result=closing(30.0, 0, 100 + k))
+    assert not foot.order.in_order
+    for k in range(5):
+        foot.go(result=closing(seed=300 + k))
+    assert foot.order.in_order
+
+
+def test_what_lies_does_not_become_usual() -> None:
+    foot = walked()
+    for k in range(60):
+        foot.go(result=closing(30.0, 0, 100 + k))
+    assert not foot.order.in_order
+
+
+def test_a_person_who_arms_takes_the_walk_as_it_is() -> None:
+    foot = walked()
+    for k in range(8):
+        foot.go(result=closing(30.0, 0, 100 + k))
+    foot.order.begin_anew()
+    for k in range(5):
+        foot.go(result=closing(30.0, 0, 400 + k))
+    assert foot.order.in_order
+
+
+def test_nobody_is_judged_by_few_strides_or_none() -> None:
+    foot = walked(KNOWN_FROM - ALIKE)
+    for k in range(2 * ALIKE - 1):
+        assert foot.go(result=closing(30.0, 0, 100 + k))
+    shank = Foot()
+    for _ in range(KNOWN):
+        assert shank.go()
+
+
+def test_swings_whose_end_is_not_seen_stop_bursts_until_they_end_in_time() -> None:
+    foot = walked()
+    for _ in range(ALIKE):
+        foot.go(each_s=0.3)
+        assert foot.order.in_order
+    assert not foot.go(each_s=0.3)
+    assert "3 ended late" in foot.order.describe()
+    for k in range(AGAIN + 1):
+        foot.go(result=closing(seed=200 + k))
+    assert foot.order.in_order
+
+
+def test_a_solution_that_is_no_number_is_far_off() -> None:
+    foot = walked()
+    for _ in range(ALIKE + 2):
+        foot.go(result=replace(stride(), left_over=(math.nan,) * 6))
+    assert not foot.order.in_order

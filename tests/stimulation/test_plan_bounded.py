@@ -1,7 +1,8 @@
-"""Bursts of a foot whose samples come late: they fall by prediction, and none starts before there is one."""
+"""Bursts whose end is not seen fall by prediction; where the samples come late none starts before there is one."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -9,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
 
+from fes.stimulation.plan import GROWS_NS, LASTED, LATER_NS
 from statemachine.phases import PhaseChange, Transition
 
 PRE_MS, SWING_MS, REST_MS, EXTENSION_MS, FALL_MS = 200, 400, 600, 60, 100
 
 
 def bounded(**changes: Any) -> Walk:
-    return Walk(make_channel(onset="predicted", **changes), bounded=frozenset({"left_foot"}))
+    return Walk(make_channel(onset="predicted", **changes), late=frozenset({"left_foot"}))
 
 
 def step(walk: Walk, pre_ms: int = PRE_MS, swing_ms: int = SWING_MS, seen: bool = True, late_ms: int = 0) -> list[int]:
@@ -80,12 +82,45 @@ def test_a_contact_told_late_ends_it_as_if_told_at_once(late_ms: int) -> None:
     seen=st.booleans(),
     late_ms=st.integers(0, 120),
 )
-def test_prediction_only_shortens(swings_ms: list[int], last_ms: int, seen: bool, late_ms: int) -> None:
-    plain, walk = Walk(make_channel(onset="predicted")), bounded()
+def test_late_samples_never_lengthen_a_burst(swings_ms: list[int], last_ms: int, seen: bool, late_ms: int) -> None:
+    walk = bounded()
     for swing_ms in swings_ms:
-        step(plain, swing_ms=swing_ms)
         step(walk, swing_ms=swing_ms)
-    without = step(plain, swing_ms=last_ms, seen=seen, late_ms=late_ms)
     found = step(walk, swing_ms=last_ms, seen=seen, late_ms=late_ms)
-    assert set(found) <= set(without)
     assert found[-1] <= PRE_MS + max(swings_ms) + EXTENSION_MS + FALL_MS + 5
+    if seen:
+        assert found[-1] <= PRE_MS + last_ms + late_ms + EXTENSION_MS + FALL_MS + 5
+
+
+# --- by cable ---------------------------------------------------------------------------------------------------------
+AFTER_MS = LATER_NS // MS + EXTENSION_MS + FALL_MS
+
+
+@pytest.mark.requirement("SR-30")
+@settings(max_examples=50, deadline=None)
+@given(swings_ms=st.lists(st.integers(250, 600), min_size=4, max_size=12))
+def test_an_end_that_is_not_seen_is_a_quarter_and_a_tenth_of_a_second_after_the_usual(swings_ms: list[int]) -> None:
+    walk = Walk(make_channel())
+    ended = [step(walk, swing_ms=swing_ms)[-1] for swing_ms in swings_ms]
+    usual_ms = sorted(swings_ms[-LASTED:])[len(swings_ms[-LASTED:]) // 2]
+    assert step(walk, seen=False)[-1] <= PRE_MS + 1.25 * usual_ms + AFTER_MS + 5
+    assert all(
+        end <= PRE_MS + swing_ms + EXTENSION_MS + FALL_MS + 5 for end, swing_ms in zip(ended, swings_ms, strict=True)
+    )
+
+
+@pytest.mark.requirement("SR-30")
+def test_what_lasts_longer_becomes_usual_slowly() -> None:
+    walk = Walk(make_channel())
+    for _ in range(LASTED):
+        step(walk)
+    found = [step(walk, swing_ms=1000)[-1] for _ in range(9)]
+    assert found[0] == pytest.approx(PRE_MS + 1.25 * SWING_MS + AFTER_MS, abs=5)
+    assert all(later - earlier <= 1.25 * GROWS_NS / MS + 1 for earlier, later in pairwise(found))
+    assert found[-1] > found[0]
+
+
+@pytest.mark.requirement("SR-30")
+def test_the_first_bursts_by_cable_need_no_prediction() -> None:
+    walk = Walk(make_channel())
+    assert step(walk)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
 
 from fes.stimulation.envelope import BurstParameters
-from fes.stimulation.plan import EXPECTED_FROM
+from fes.stimulation.plan import EXPECTED_FROM, LATER_NS
 from statemachine.phases import PhaseChange, Transition
 
 PRE_MS, SWING_MS = 300, 500
@@ -106,7 +106,8 @@ def test_a_heel_that_rises_again_does_not_inherit_the_end_of_a_swing_without_con
 def test_what_is_not_negative_waits_for_contact() -> None:
     walk = early(0.0)
     assert [fall_begins(step(walk)) for _ in range(6)] == [SWING_MS] * 6
-    assert fall_begins(step(walk, swing_ms=700)) == 700
+    assert fall_begins(step(walk, swing_ms=590)) == 590
+    assert fall_begins(step(walk, swing_ms=900)) == pytest.approx(1.25 * SWING_MS + LATER_NS / MS, abs=10)
 
 
 def test_a_burst_that_starts_with_the_swing_can_end_before_contact_too() -> None:

@@ -30,6 +30,7 @@ TOE_OUT_RAD = math.radians(7.0)  # most feet 5–10° (Morton, J Bone Joint Surg
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
 _NAMES = STRIDE.names or ()
+_LEFT = [column.name for column in COLUMNS if column.name.startswith("left_")]
 _HIDDEN = [column.name for column in COLUMNS if column.core and not column.shown]
 _ENTRIES = [f"t_{phase.name.lower()}_ns" for phase in Phase]
 _UNKNOWN = {column.name: math.nan for column in COLUMNS if column.core and column.shown and column.kind is float}
@@ -149,6 +150,7 @@ def _result(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
     valid, reason = columns["outcome"] == integration.SOLVED, ""
     if not valid or columns["residual_rate_radps"] > REST_RADPS:
         reason = _reason(columns)
+    columns["left_over"] = tuple([columns[name] for name in _LEFT])
     for name in _HIDDEN:
         del columns[name]
     if not valid:

@@ -102,6 +102,17 @@ COLUMNS: Final = (
     _inner("gap_s", float, "s", "the longest time between two of its samples"),
     _inner("tilt_rad", float, "rad", "how far the orientation is off at its end"),
     _inner("residual_rate_radps", float, "rad/s", "the rate at the end that is the less quiet one"),
+    *(
+        _inner(name, float, unit, f"what a sound sensor at rest would have left over: {text}; 0 unless it has a shape")
+        for name, unit, text in (
+            ("left_forward_mps", "m/s", "velocity forward"),
+            ("left_sideways_mps", "m/s", "velocity to the left"),
+            ("left_up_mps", "m/s", "velocity up"),
+            ("left_height_m", "m", "height"),
+            ("left_pitch", "", "tilt forward, a sine"),
+            ("left_roll", "", "tilt to the left, a sine"),
+        )
+    ),
 )
 
 TABLE: Final = tuple(column.in_table() for column in COLUMNS if column.shown)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fes.estimation.closures import GAIN, RESIDUALS, SCALE, close_stride
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import core_type
 from fes.estimation.numerics.rotation import to_world, without
@@ -269,6 +270,8 @@ def solve_rows(
     position, quaternion = out.position[at : at + count], out.quaternion[at : at + count]
     around = around_ends(t_ns, first, last)
     begin, end = max(first - around, 0), min(last + around + 1, n)
+    if k < out.shapes.shape[0]:
+        _left_over(row, t_ns[begin:end], acc[begin:end], gyr[begin:end], first - begin, last - begin)
     numbers = np.empty(NUMBERS)
     for i in range(NUMBERS):
         numbers[i] = 0.0
@@ -291,6 +294,23 @@ def solve_rows(
     row.toe_clearance_m = row.heel_clearance_m = math.nan
     if settings.known:
         _toe_and_heel(settings, row, out.t_ns[at : at + count], position, quaternion)
+
+
+@jit_ieee
+def _left_over(row: Any, t_ns: Any, acc: Any, gyr: Any, first: int, last: int) -> None:
+    """What a sound sensor would have left over of the stride between two rows (:mod:`fes.estimation.closures`)."""
+    n = t_ns.shape[0]
+    t_s, sensor, axes, found = np.empty(n), np.empty(6), np.empty((3, 3)), np.empty(RESIDUALS)
+    for i in range(n):
+        t_s[i] = 1e-9 * (t_ns[i] - t_ns[0])
+    for i in range(6):
+        sensor[i] = 1.0 if i in (GAIN, SCALE) else 0.0
+    for i in range(3):
+        for k in range(3):
+            axes[i, k] = 1.0 if i == k else 0.0
+    close_stride(t_s, acc, gyr, first, last, sensor, axes, found)
+    row.left_forward_mps, row.left_sideways_mps, row.left_up_mps = found[0], found[1], found[2]
+    row.left_height_m, row.left_pitch, row.left_roll = found[3], found[4], found[5]
 
 
 @jit_ieee
