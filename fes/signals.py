@@ -211,8 +211,8 @@ class StrideResult:
     from start to end; ``toe_clearance_m`` the least height of the toe in mid-swing and ``heel_clearance_m`` the heel's
     greatest height, NaN unless the session says where the sensor sits. The ``t_*`` phase entries are None where the
     stride did not pass that phase. ``left_over`` (6,) is what a sound sensor at rest would have left over at its end
-    (:func:`fes.estimation.closures.closures`); empty of a shank. ``valid`` is False, with ``reason``, where the numbers
-    must not be used.
+    (:func:`fes.estimation.closures.closures`); empty of a shank and off-line. ``valid`` is False, with ``reason``,
+    where the numbers must not be used.
     """
 
     foot: str

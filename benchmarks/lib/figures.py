@@ -268,7 +268,7 @@ LONG: dict[str, Sequence[str]] = {
     "shank-phases": ("accuracy/shank_phases.py",),
     "orientation-limits": ("accuracy/orientation_limits.py",),
     "witness": ("safety/witness.py",),
-    "live-lies": ("safety/live_lies.py", "--feet", "9"),
+    "live-lies": ("safety/live_lies.py", "--feet", "19"),
     "witness-sound": ("safety/witness.py", "--lies", "--seconds", "1000"),
     "speed-live-road": ("speed/live_latency.py",),
     **{

@@ -7,8 +7,9 @@ once, 20 mA; and beside it the live witness hears each stride. At half time the 
 without the lie says which phase the foot is in. By lie and half of the persons:
 
 - *latched within*: feet whose gate latched before so many strides had ended since the lie began;
-- *witness in*: of the others those of whom the witness told something within so many strides;
-- *never*: neither, the witness within the last of its strides;
+- *stopped within*: of the others those of which no burst began any more by then, for their cycle was in disorder;
+- *witness in*: of those that were not latched those of whom the witness told something within so many strides;
+- *never*: none of the three, the witness within the last of its strides;
 - *in stance*: ms of current in all since the lie began, while the foot stands (less the last 150 ms of a stance, in
   which a burst may begin early): median, 95 %, most; and how many feet got more than 100 ms;
 - *length*: the live stride length over that of the sound walk, median [5, 95 %] of feet.
@@ -50,6 +51,8 @@ from fes.estimation.sensor_choice import Calibration
 from fes.gate import gate_of
 from fes.recording import Track
 from fes.signals import OperatorAct, OperatorAction, StrideResult
+from fes.stimulation.order import NOTED
+from fes.walk_record import Note
 from fes.witness.hearing import Hearing
 
 SOUND = "as it is"
@@ -70,7 +73,7 @@ LIES: dict[str, Change] = {
     "left-handed": mirrored,
     "gyroscope's x and y exchanged": exchanged,
 }
-LATCHED, HEARD = (1, 2, 5), (10, 40)  # strides
+LATCHED, STOPPED, HEARD = (1, 2, 5), (5, 20), (10, 40)  # strides
 MUCH_MS = 100.0
 SECONDS = 150.0
 
@@ -81,6 +84,12 @@ class Session(Walk):
 
     strides: list[StrideResult] = field(default_factory=list)
     latched_ns: int | None = None
+    disorder_ns: list[int] = field(default_factory=list)
+
+    def note(self, note: Note) -> None:
+        """When the foot came into disorder."""
+        if note.source == NOTED and note.severity == "warning":
+            self.disorder_ns.append(note.t_ns)
 
     def stride(self, result: StrideResult) -> None:
         """Kept."""
@@ -110,6 +119,7 @@ class Row:
     lie: str
     known: bool
     latched: int | None
+    stopped: int | None
     heard: int | None
     stance_ms: float
     length: float
@@ -166,9 +176,11 @@ def rows_of(walker: Walker, lies: Sequence[str]) -> list[Row]:
         stance_ms = sum(overlap_ns(span, stood, EARLY_NS) for span in begun) / MS
         ends = [each.t_end_ns for each in sound.strides if each.t_end_ns > half_ns]
         latched = None if lied.latched_ns is None else sum(end < lied.latched_ns for end in ends) + 1
+        first_ns = next((t_ns for t_ns in lied.disorder_ns if t_ns > half_ns), None)
+        stopped = None if first_ns is None else sum(end < first_ns for end in ends)
         heard = told_after(changed, lied, half_ns) if latched is None else None
         ratio = length_m(lied.strides, half_ns) / length_m(sound.strides, half_ns)
-        rows.append(Row(lie, walker.known, latched, heard, stance_ms, ratio))
+        rows.append(Row(lie, walker.known, latched, stopped, heard, stance_ms, ratio))
     return rows
 
 
@@ -176,6 +188,7 @@ def table_of(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
     """Of one half of the persons."""
     columns = ["lie", "feet", *(f"latched within {n}" for n in LATCHED), "later"]
     columns += [
+        *(f"stopped within {n}" for n in STOPPED),
         *(f"by the witness in {n}" for n in HEARD),
         "never",
         "in stance, ms",
@@ -188,14 +201,16 @@ def table_of(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
         if not own:
             continue
         latched = [row.latched for row in own if row.latched is not None]
+        stopped = [row.stopped for row in own if row.latched is None and row.stopped is not None]
         heard = [row.heard for row in own if row.heard is not None]
+        untold = sum(row.latched is row.stopped is row.heard is None for row in own)
         middle, most = np.percentile([row.stance_ms for row in own], (50, 95))
         lengths = [row.length for row in own if np.isfinite(row.length)]
         low, half, high = np.percentile(lengths, (5, 50, 95)) if lengths else (np.nan,) * 3
         table.add_row(
             lie, str(len(own)), *(str(sum(n <= limit for n in latched)) for limit in LATCHED),
-            str(sum(n > LATCHED[-1] for n in latched)), *(str(sum(n <= limit for n in heard)) for limit in HEARD),
-            str(len(own) - len(latched) - len(heard)),
+            str(sum(n > LATCHED[-1] for n in latched)), *(str(sum(n <= limit for n in stopped)) for limit in STOPPED),
+            *(str(sum(n <= limit for n in heard)) for limit in HEARD), str(untold),
             f"{middle:.0f}, {most:.0f}, {max(row.stance_ms for row in own):.0f}",
             str(sum(row.stance_ms > MUCH_MS for row in own)), f"{half:.2f} [{low:.2f}, {high:.2f}]",
         )  # fmt: skip

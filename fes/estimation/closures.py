@@ -19,7 +19,7 @@ from fes.signals import G_MPS2, FloatArray, IntArray
 LAG, GAIN, BIAS, SCALE = 0, 1, slice(2, 5), 5  # of a sensor's six assumed properties:
 SOUND: Final = (0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # s, 1, rad/s three times, 1
 RESIDUALS: Final = 6  # velocity forward, left, up (m/s), height (m), tilt forward, left (of gravity) at a stride's end
-_UPRIGHT_S: Final = 0.0401  # on either side of a border: the mean force there is gravity's direction
+UPRIGHT_S: Final = 0.0401  # on either side of a border: the mean force there is gravity's direction
 
 
 @inlined
@@ -47,9 +47,9 @@ def _force(t_s: FloatArray, acc: FloatArray, row: int, at_s: float) -> tuple[flo
 def _mean_force(t_s: FloatArray, acc: FloatArray, middle: int, lag_s: float) -> tuple[float, float, float]:
     """Direction of the mean force around a border, a unit vector; NaN where it has none."""
     low, high = middle, middle
-    while low > 0 and t_s[middle] - t_s[low - 1] <= _UPRIGHT_S:
+    while low > 0 and t_s[middle] - t_s[low - 1] <= UPRIGHT_S:
         low -= 1
-    while high < t_s.size - 1 and t_s[high + 1] - t_s[middle] <= _UPRIGHT_S:
+    while high < t_s.size - 1 and t_s[high + 1] - t_s[middle] <= UPRIGHT_S:
         high += 1
     x, y, z, row = 0.0, 0.0, 0.0, low
     for i in range(low, high + 1):

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import FootPath
+from fes.estimation.closures import SOUND, closures
 from fes.estimation.foot import features as kernel
 from fes.estimation.foot import tracker as one_foot
 from fes.estimation.foot.calibration import FootCalibration
@@ -99,7 +100,7 @@ def facts(outcomes: list[Outcome]) -> list[object]:
     found: list[object] = []
     for outcome in outcomes:
         if isinstance(outcome, StrideResult):
-            plain = {name: getattr(outcome, name) for name in outcome.__slots__}
+            plain = {name: getattr(outcome, name) for name in outcome.__slots__ if name != "left_over"}  # live alone
             arrays = [plain.pop(name).tobytes() for name in ("trajectory_m", "pitch_rad", "roll_rad")]
             found += [repr(plain), *arrays]
         else:
@@ -167,6 +168,18 @@ def stepped(tracker: FootTracker, samples: Samples) -> list[Outcome]:
     ):
         outcomes += tracker.step(t_ns, (ax, ay, az), (gx, gy, gz))
     return outcomes
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_a_stride_leaves_over_what_its_closure_does(foot: str) -> None:
+    samples, calibration = walk(foot)
+    found = strides(stepped(tracker_of(calibration), samples))
+    rows = [
+        np.searchsorted(samples.t_ns, [getattr(each, name) for each in found]) for name in ("t_start_ns", "t_end_ns")
+    ]
+    t_s = 1e-9 * (samples.t_ns - samples.t_ns[0])
+    wanted = closures((t_s, samples.acc, samples.gyr), *rows, np.array([SOUND]))[0]
+    assert np.array([each.left_over for each in found]) == pytest.approx(wanted, abs=2e-3)
 
 
 def test_samples_live_and_in_blocks_may_take_turns() -> None:

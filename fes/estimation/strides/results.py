@@ -150,7 +150,8 @@ def _result(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
     valid, reason = columns["outcome"] == integration.SOLVED, ""
     if not valid or columns["residual_rate_radps"] > REST_RADPS:
         reason = _reason(columns)
-    columns["left_over"] = tuple([columns[name] for name in _LEFT])
+    left_over = tuple([columns[name] for name in _LEFT])
+    columns["left_over"] = left_over if any(left_over) else ()
     for name in _HIDDEN:
         del columns[name]
     if not valid:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.closures import GAIN, RESIDUALS, SCALE, close_stride
+from fes.estimation.closures import GAIN, RESIDUALS, SCALE, UPRIGHT_S, close_stride
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import core_type
 from fes.estimation.numerics.rotation import to_world, without
@@ -271,7 +271,9 @@ def solve_rows(
     around = around_ends(t_ns, first, last)
     begin, end = max(first - around, 0), min(last + around + 1, n)
     if k < out.shapes.shape[0]:
-        _left_over(row, t_ns[begin:end], acc[begin:end], gyr[begin:end], first - begin, last - begin)
+        wide = 2 + int(UPRIGHT_S * (last - first) / duration_s)
+        low, high = max(first - wide, 0), min(last + wide + 1, n)
+        _left_over(row, t_ns[low:high], acc[low:high], gyr[low:high], first - low, last - low)
     numbers = np.empty(NUMBERS)
     for i in range(NUMBERS):
         numbers[i] = 0.0
