@@ -17,10 +17,9 @@ from typing import Any, Final
 import can
 from can.interfaces.slcan import slcanBus
 
-from drivers.receive_buffer import make_room
 from drivers.stimulator.can_codec import NODE_IDS
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.serial_line import Waiting
+from drivers.stimulator.serial_line import Waiting, make_room
 from fes.config import Bus
 
 MULTICAST: Final = "udp_multicast"

@@ -15,7 +15,7 @@ from queue import Empty, Queue
 from typing import Any, Final
 
 from drivers.imu.port import ImuLost, ImuPort
-from drivers.simulated.imu.faulted_port import FaultedImu
+from drivers.simulated.imu.faults import FaultedImu
 from drivers.simulated.record import RecordEntry
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Session

@@ -15,8 +15,8 @@ from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.simulated.stimulator.serial_device import SimulatedDevice
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
-from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
+from drivers.stimulator.sciencemode import p24_port as sm4
+from drivers.stimulator.sciencemode import rehastim2_port as sm2
 from drivers.stimulator.sciencemode.framing import Packet
 from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator
 from drivers.stimulator.sciencemode.port import ScienceModePort

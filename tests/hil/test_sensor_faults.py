@@ -21,8 +21,7 @@ from click.testing import CliRunner
 
 from drivers.imu.port import ImuLost, ImuPort
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.faulted_port import FaultedImu
-from drivers.simulated.imu.faults import LASTING
+from drivers.simulated.imu.faults import LASTING, FaultedImu
 from drivers.simulated.imu.wire import LSL_RECORD, LslWire
 from drivers.simulated.lines import LineFaults, MessageFaults
 from drivers.stimulator.open import SERIAL
@@ -43,7 +42,7 @@ from fes.live.sensors import Imu
 from fes.signals import RawSample, StimStatus, Tick
 
 ROOT = Path(__file__).resolve().parents[2]
-WRAPPER = "drivers.simulated.imu.faulted_port"
+WRAPPER = "drivers.simulated.imu.faults"
 PERIOD_NS = 10 * MS
 DEVICE = ImuDevice(sensor=FOOT, device="xbus", port="x", rate_hz=100.0, acc_range_g=16.0, gyr_range_dps=2000.0)
 OTHER = DEVICE.model_copy(update={"sensor": "left_foot"})

@@ -19,10 +19,9 @@ from typing import Final
 
 import can
 
-from drivers.simulated import process_end
+from drivers.simulated import lines
 from drivers.simulated.imu.wire import CAN_RECORD
-from drivers.simulated.lines import LINE_FAULTS, LineFaults
-from drivers.simulated.process_end import STDIN, CommandReader
+from drivers.simulated.lines import LINE_FAULTS, STDIN, CommandReader, LineFaults
 from drivers.simulated.record import PulseOutlet, RecordWriter
 from drivers.simulated.stimulator.firmware import StimulatorNode, parse_faults
 from drivers.simulated.stimulator.lockstep import SIM_TIME_ID, BusClock, RealClock
@@ -52,7 +51,7 @@ class NodeLoop:
     def __post_init__(self) -> None:
         self._read_errors = 0
         self._faults = LineFaults()
-        self._commands = CommandReader(process_end.fault_commands(self._inject), self.clock.now_ns)
+        self._commands = CommandReader(lines.fault_commands(self._inject), self.clock.now_ns)
 
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
@@ -144,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--faults: {error}")
     port: dict[str, str | int | float | bool] = {} if options.port is None else {"port": options.port}
     settings = Bus(interface=options.interface, channel=options.channel, options=port)
-    signalled = process_end.stop_signals()
+    signalled = lines.stop_signals()
     stop = [signalled.fileno()] + ([STDIN] if options.until_stdin_closes else [])
     try:
         record = RecordWriter(options.record)
@@ -152,10 +151,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BusError, OSError) as error:
         print(f"can_node: {error}", file=sys.stderr)
         return 2
-    real_time = process_end.become_real_time()
+    real_time = lines.become_real_time()
     clock = BusClock() if options.clock == "bus" else RealClock()
     node = StimulatorNode(boot_id, clock.now_ns(), faults)
-    process_end.publish_ready(boot_id=boot_id, real_time=real_time)
+    lines.publish_ready(boot_id=boot_id, real_time=real_time)
     try:
         NodeLoop(node, bus, record, stop, clock, PulseOutlet(options.pulses)).run()
     except BusBroken as error:

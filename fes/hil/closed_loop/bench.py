@@ -16,8 +16,7 @@ from typing import Any, Final
 from drivers.imu.port import ImuLost
 from drivers.simulated.imu.faults import LASTING
 from drivers.simulated.lines import LINE_FAULTS
-from drivers.simulated.process_handle import ProcessHandle
-from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
+from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, ProcessHandle, spawn_device, spawn_node
 from fes.calibration.recording import save
 from fes.config import StimulatorDevice
 from fes.hil.settings import FOOT, PATIENT_CURRENT_MA, RATE_HZ, patient_calibration, patient_session_text

@@ -28,12 +28,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.simulated.imu.capture2go import Air
-from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.radio import Radio
-from drivers.simulated.imu.serial_wires import SERIAL_WIRES, on_its_line, serial_wire
-from drivers.simulated.lines import LINE_FAULTS, LineFaults, PtyEnd
-from drivers.simulated.process_end import STDIN, CommandReader, become_real_time, publish_ready, stop_signals
+from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu
+from drivers.simulated.imu.serial_wires import SERIAL_WIRES, Air, on_its_line, serial_wire
+from drivers.simulated.lines import (
+    LINE_FAULTS,
+    STDIN,
+    CommandReader,
+    LineFaults,
+    PtyEnd,
+    become_real_time,
+    publish_ready,
+    stop_signals,
+)
 from drivers.simulated.record import Pulse, PulseInlet
 from fes.signals import G_MPS2, NS_PER_S, SENSORS
 from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
