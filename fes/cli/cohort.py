@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, StoppedEarly, interrupted, need_extra
-from fes.cli.common.options import Number
-from fes.cli.common.processors import processors
-from fes.cli.common.show import print_json
+from fes.cli.common import FAILED, Number, Problem, StoppedEarly, interrupted, need_extra, processors
+from fes.cli.show import print_json
 
 if TYPE_CHECKING:
     from fes.cohort.store import Store

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import click
 
-from fes.cli.common.exits import FAILED
-from fes.cli.common.processors import processors
+from fes.cli.common import FAILED, processors
 from fes.estimation.numerics.jit import KEPT, compiled_here
 
 AHEAD_PARTS = ("strides", "path", "events")

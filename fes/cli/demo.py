@@ -8,10 +8,22 @@ from typing import Any, Final
 
 import click
 
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted, writing
-from fes.cli.common.loop_view import LoopView
-from fes.cli.common.options import STIMULATORS, Number, choice, out_option, utc_now
-from fes.cli.common.progress import Interrupt
+from fes.cli.common import (
+    LOG_SUFFIX,
+    STIMULATORS,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    choice,
+    failing,
+    fresh_folder,
+    interrupted,
+    out_option,
+    utc_now,
+    writing,
+)
+from fes.cli.loop_view import LoopView
 from fes.hil.closed_loop import demo
 from fes.hil.closed_loop.processes import Protocol
 from fes.live.status import Status

@@ -12,8 +12,7 @@ from typing import Any, Final
 import click
 
 from fes import __version__
-from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, interrupted, writing
-from fes.cli.common.options import PATH, utc_now
+from fes.cli.common import FAILED, PATH, Problem, StoppedEarly, failing, interrupted, utc_now, writing
 from fes.config import ConfigError, ImuDevice, Session, load_session
 
 SIMULATED: Final = ("xbus", "ximu3", "capture2go", "witmotion", "can", "p24_low_level", "p24_mid_level", "rehastim2")

@@ -17,12 +17,26 @@ import click
 
 from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder
-from fes.cli.common.loop_view import stride_line
-from fes.cli.common.options import PATH, SENSOR_KINDS, SIDE, STIMULATORS, Number, choice, given_options, out_option
-from fes.cli.common.progress import Interrupt, replay_progress
-from fes.cli.common.show import show_latched
+from fes.cli.common import (
+    LOG_SUFFIX,
+    PATH,
+    SENSOR_KINDS,
+    SIDE,
+    STIMULATORS,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    choice,
+    failing,
+    fresh_folder,
+    given_options,
+    out_option,
+    replay_progress,
+)
+from fes.cli.loop_view import stride_line
 from fes.cli.main import WANTS_LINUX
+from fes.cli.show import show_latched
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from fes.cli.cohort import absolute, progress_bar, results_at, resumable, unfinished
-from fes.cli.common.exits import FAILED, Problem, failing, need_extra, writing
-from fes.cli.common.options import PATH, Number
-from fes.cli.common.processors import processors
-from fes.cli.common.show import print_json, screen
+from fes.cli.common import FAILED, PATH, Number, Problem, failing, need_extra, processors, writing
+from fes.cli.show import print_json, screen
 from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:

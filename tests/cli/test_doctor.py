@@ -22,11 +22,11 @@ from replays import SETTINGS
 from drivers.discover import CanChannel, SerialPort, can_channels, device_maker
 from drivers.imu import ximu3
 from drivers.stimulator.serial_line import latency_hint
-from fes.cli.common.exits import FAILED, OK
+from fes.cli import doctor as doctor_devices
+from fes.cli import doctor as doctor_host
+from fes.cli.common import FAILED, OK
 from fes.cli.devices import Connected, wanted_by
-from fes.cli.doctor import command as doctor_host
-from fes.cli.doctor import devices as doctor_devices
-from fes.cli.doctor.command import Finding, Verdict, settings, stop_file_finding
+from fes.cli.doctor import Finding, Verdict, settings, stop_file_finding
 from fes.cli.main import main
 from fes.config import ImuDevice, Session, load_session
 from fes.live import realtime

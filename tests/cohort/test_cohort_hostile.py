@@ -21,7 +21,7 @@ from distributed import Client, LocalCluster
 from pyarrow import parquet
 
 from fes.cli import main
-from fes.cli.common.exits import STOPPED, UNUSABLE
+from fes.cli.common import STOPPED, UNUSABLE
 from fes.cohort.engine import Task, cluster, ended_after, run_tasks
 from fes.cohort.page import write_pages
 from fes.cohort.sources import CohortError, Source, find_sources

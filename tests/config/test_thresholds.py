@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from replays import SETTINGS, cut, replay, trial
 
-from fes.cli.common.exits import Problem
+from fes.cli.common import Problem
 from fes.cli.sweep import apply_best
 from fes.cohort.sweep.table import Combination
 from fes.config import ConfigError, load_session

@@ -27,7 +27,7 @@ from drivers.simulated.lines import LineFaults, MessageFaults
 from drivers.stimulator.open import SERIAL
 from drivers.stimulator.port import StimulatorLost
 from fes.cli import main
-from fes.cli.common.exits import UNUSABLE, Problem
+from fes.cli.common import UNUSABLE, Problem
 from fes.cli.run.devices import open_sensors
 from fes.config import ConfigError, ImuDevice, Session, StimulatorDevice, load_session
 from fes.extensions import GROUPS

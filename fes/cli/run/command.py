@@ -21,9 +21,20 @@ from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import SensorCalibrations, load, refuse_others
 from fes.cli.calibrate import describe, save_calibrations
-from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, Command, Number, utc_now
-from fes.cli.common.progress import Interrupt
+from fes.cli.common import (
+    LOG_SUFFIX,
+    OK,
+    PATH,
+    Command,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    failing,
+    fresh_folder,
+    interrupted,
+    utc_now,
+)
 from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_session, refuse_blind_targets
 from fes.estimation.foot.calibration import CalibrationError

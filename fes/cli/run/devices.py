@@ -15,8 +15,7 @@ import click
 from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
 from drivers.imu.port import ImuLost, ImuPort
 from drivers.stimulator.bus import BusError
-from fes.cli.common.exits import Problem, failing, need_extra
-from fes.cli.common.options import Command
+from fes.cli.common import Command, Problem, failing, need_extra
 from fes.config import ConfigError, Session, Switch
 from fes.control.clock_sync import SensorClock
 from fes.estimation.sensor_choice import phase_sensors

@@ -6,9 +6,7 @@ from typing import Any
 
 import click
 
-from fes.cli.common.exits import failing, fresh_folder
-from fes.cli.common.options import PATH
-from fes.cli.common.progress import Interrupt
+from fes.cli.common import PATH, Interrupt, failing, fresh_folder
 from fes.cli.run.command import Options, finish, live_options, run_live
 from fes.config import ConfigError, load_exercise
 from fes.live.inputs import Terminal, standard_keys

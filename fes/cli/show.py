@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Self
 
 import click
 
-from fes.cli.common.exits import StoppedEarly, writing
+from fes.cli.common import StoppedEarly, writing
 from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:
