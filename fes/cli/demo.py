@@ -24,7 +24,8 @@ from fes.cli.common import (
     writing,
 )
 from fes.cli.loop_view import LoopView
-from fes.hil.closed_loop import demo
+from fes.hil.closed_loop import one_process
+from fes.hil.closed_loop.one_process import LOW_MM, run_in_one_process
 from fes.hil.closed_loop.processes import Protocol
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
@@ -37,7 +38,7 @@ LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
 TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
     "The strides' toe heights are the true ones; the controller measures some 1 mm more, and aims at that.\n"
-    f"A stride clears where the toe passes {demo.LOW_MM:.0f} mm or more above the ground, or else is low, dragged or "
+    f"A stride clears where the toe passes {LOW_MM:.0f} mm or more above the ground, or else is low, dragged or "
     "stumbled.\nSeconds are the patient's; the report's are of its log, which may begin some seconds before the walk."
 )
 
@@ -53,7 +54,7 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
     folder = fresh_folder(out, "closed_loop").resolve()
     if not fast and len(str(folder).encode()) > LONGEST_FOLDER:
         raise Problem(f"{folder}: the name is too long for a control socket. Choose a shorter one with --out.")
-    settings, plan = demo.patient(), demo.demo_protocol(demo.SECONDS)
+    settings, plan = one_process.patient(), one_process.demo_protocol(one_process.SECONDS)
     strides: list[VirtualStride] = []
     try:
         with (
@@ -63,9 +64,10 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
         ):
 
             def on_stride(stride: VirtualStride) -> None:
-                if stride.t_flat_ns > demo.SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
+                if stride.t_flat_ns > one_process.SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
                     view.text(
-                        demo.SLIPS_S, f"an electrode has slipped: {demo.SLIPS_TO:.0%} of the charge reaches the nerve"
+                        one_process.SLIPS_S,
+                        f"an electrode has slipped: {one_process.SLIPS_TO:.0%} of the charge reaches the nerve",
                     )
                 strides.append(stride)
                 view.stride(stride)
@@ -76,13 +78,13 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
             else:
                 log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, stimulator)
     except KeyboardInterrupt:
-        demo.write_strides(folder / "patient.strides.csv", strides)
+        one_process.write_strides(folder / "patient.strides.csv", strides)
         for begun in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
             with suppress(SessionLogError):  # too short for a header: there is nothing to report
                 _report(begun, folder / "report.html")
         interrupted(f"; everything is ended. What there is: {folder}")
-    demo.write_strides(folder / "patient.strides.csv", strides)
-    result = {**demo.result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
+    one_process.write_strides(folder / "patient.strides.csv", strides)
+    result = {**one_process.result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
     _report(log, folder / "report.html")
     (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     _show(result, as_json=as_json)
@@ -93,10 +95,9 @@ def _in_one_process(
 ) -> Path:
     from fes.config import validate_session
     from fes.estimation.warm_up import warm_up
-    from fes.hil.closed_loop.one_process import run_in_one_process
     from fes.hil.settings import patient_calibration, patient_session_text
 
-    text = patient_session_text(settings, current_ma=demo.CURRENT_MA)
+    text = patient_session_text(settings, current_ma=one_process.CURRENT_MA)
     (folder / "session.toml").write_text(text, encoding="utf-8")
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     view.state("on injected time, in one process")
@@ -143,7 +144,7 @@ def _between_processes(
 
     with failing(ImuLost, StimulatorLost), failing(CampaignBroken, kind=StoppedEarly), ExitStack() as stack:
         bench = start_patient_bench(
-            settings, folder, stack, stimulator=stimulator, current_ma=demo.CURRENT_MA, held=True
+            settings, folder, stack, stimulator=stimulator, current_ma=one_process.CURRENT_MA, held=True
         )
         ran = run_between_processes(
             bench, plan, on_stride=on_stride, on_status=on_status, on_tick=interrupt.check, most_rearms=GO_ON

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 import click
 
-from fes.hil.closed_loop.demo import outcome
+from fes.hil.closed_loop.one_process import outcome
 from fes.signals import NS_PER_S
 from fes.simulation.forward import VirtualStride
 

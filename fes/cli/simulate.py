@@ -209,7 +209,7 @@ def simulate(settings: PatientSettings, options: Options) -> None:
     Raises:
         Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
-    from fes.hil.closed_loop.demo import write_strides
+    from fes.hil.closed_loop.one_process import write_strides
     from fes.recording import RecordingError, write_recording
     from fes.simulation.forward.closed_loop import recording_of, truth_of
     from fes.simulation.truth import write_truth

@@ -128,7 +128,7 @@ def command(
         parquet.write_table(combination_table(found, measures), sink)
         store.write(TABLE, sink.getvalue().to_pybytes())
         if not no_report:
-            from fes.cohort.sweep.page import sweep_page
+            from fes.cohort.sweep.table import sweep_page
 
             store.write(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
     page, place = None if no_report else str(store.place(PAGE)), str(store.place(TABLE))

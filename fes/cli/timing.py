@@ -30,9 +30,16 @@ from fes.cli.show import narrow_table, print_json, screen
 from fes.config import Session
 from fes.control.replay import digest, session_for, settings_of
 from fes.estimation.sensor_choice import Calibration, phase_sensors
-from fes.evaluation.timing.baseline import Baseline
-from fes.evaluation.timing.judgement import DECISIONS, Limits, RecordingTiming, judge
-from fes.evaluation.timing.replayed import Measured, as_recorded, measure
+from fes.evaluation.timing.judgement import (
+    DECISIONS,
+    Baseline,
+    Limits,
+    Measured,
+    RecordingTiming,
+    as_recorded,
+    judge,
+    measure,
+)
 from fes.evaluation.timing.truth import (
     ExpectedMarks,
     TimingError,
@@ -51,8 +58,7 @@ from fes.session_log import read_session
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from fes.evaluation.timing.baseline import Baseline
-    from fes.evaluation.timing.judgement import Limits, RecordingTiming
+    from fes.evaluation.timing.judgement import Baseline, Limits, RecordingTiming
     from fes.session_log import SessionRecord
 
 # --- The recordings of one timing command: found, replayed, and the truth of each ---------------------------
@@ -293,8 +299,7 @@ def baseline_command(
 
     What the file knows already stays: its tolerances, and recordings that are not named.
     """
-    from fes.evaluation.timing.baseline import baseline_text, joined, read_baseline
-    from fes.evaluation.timing.judgement import Limits, as_baseline
+    from fes.evaluation.timing.judgement import Limits, as_baseline, baseline_text, joined, read_baseline
     from fes.report.text import count_of
 
     options = _options(chosen)
@@ -328,7 +333,7 @@ def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool
 
     Exit code: 0 all is well, 1 a check failed, 2 unusable input, 130 interrupted.
     """
-    from fes.evaluation.timing.baseline import read_baseline
+    from fes.evaluation.timing.judgement import read_baseline
 
     judging = {name: chosen.pop(name) for name in _JUDGING}
     options = _options(chosen)
@@ -339,7 +344,7 @@ def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool
     absent = sorted(set(baseline.recordings) - {each.name for each in outcomes}) if baseline else []
     _finish(outcomes, judging, as_json, ("now", "baseline"), {"not_checked": absent})
     if absent:
-        from fes.evaluation.timing.baseline import in_words
+        from fes.evaluation.timing.judgement import in_words
 
         click.secho(f"Of the baseline not checked here: {in_words(absent)}.", fg="yellow", err=True)
     _end(outcomes)
@@ -355,8 +360,7 @@ def compare_command(recordings: tuple[Path, ...], sessions: tuple[Path, ...], as
 
     Exit code: 0 compared, 1 they differ by more than --tolerance-ms, 2 unusable input.
     """
-    from fes.evaluation.timing.baseline import Baseline
-    from fes.evaluation.timing.judgement import Limits, as_baseline
+    from fes.evaluation.timing.judgement import Baseline, Limits, as_baseline
 
     if len(sessions) != 2:
         raise Problem(f"name two settings, --session A.toml --session B.toml, not {len(sessions)}")
@@ -402,7 +406,7 @@ def _options(chosen: dict[str, Any]) -> Options:
 
 def _tolerances(given: Sequence[str]) -> dict[str, float]:
     """Milliseconds by kind; a number alone is for all transitions and edges."""
-    from fes.evaluation.timing.baseline import KINDS, LATENCY
+    from fes.evaluation.timing.judgement import KINDS, LATENCY
 
     found: dict[str, float] = {}
     for text in given:
@@ -419,8 +423,7 @@ def _tolerances(given: Sequence[str]) -> dict[str, float]:
 
 
 def _limits(judging: dict[str, Any], baseline: Baseline | None) -> Limits:
-    from fes.evaluation.timing.baseline import ALLOWED
-    from fes.evaluation.timing.judgement import Limits
+    from fes.evaluation.timing.judgement import ALLOWED, Limits
 
     allowed = dict(baseline.allowed if baseline else ALLOWED)
     for text in judging["allow"]:

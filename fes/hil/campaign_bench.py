@@ -13,7 +13,7 @@ from fes.hil.devices import Devices, Hardware
 from fes.hil.results import MS, Output, Outputs, output_at, overlap_ms
 from fes.hil.scenarios import Needs, Scenario
 from fes.hil.settings import reversed_axis
-from fes.live.proof import ASKED
+from fes.live.operator import ASKED
 from fes.live.status import Status
 from fes.signals import NS_PER_S
 

@@ -19,8 +19,7 @@ from drivers.stimulator.open import Port
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Channel, ConfigError, Session, validate_session
 from fes.gate import SafetyGate, gate_of
-from fes.qualify.bench import Clock, NotQualified, Reader
-from fes.qualify.sensor import Figures
+from fes.qualify.sensor import Clock, Figures, NotQualified, Reader
 from fes.signals import NS_PER_S, OperatorAct, OperatorAction, StimRequest, StimStatus, SystemFault, Tick
 
 CURRENT_MA, WIDTH_US = 10.0, 200.0  # low for a load of 1 kΩ, and well above what an oscilloscope shows as noise

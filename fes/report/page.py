@@ -14,15 +14,13 @@ from fes.analysis.parameters.gait import GaitParameters
 from fes.report.figures import strides
 from fes.report.figures.space import ground_figures, space_figure
 from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
-from fes.report.figures.swing import swing_figures
+from fes.report.figures.strides import swing_figures
 from fes.report.figures.timeseries import chart_data
 from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
-from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
-from fes.report.key_numbers import key_numbers
 from fes.report.moments import moment_data
-from fes.report.parameter_table import parameter_rows, scales_in_words, walk_rows
+from fes.report.parameter_table import key_numbers, parameter_rows, parameter_slugs, scales_in_words, terms, walk_rows
 from fes.report.quality import describe_flags
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark

@@ -28,8 +28,7 @@ from fes.cohort.sweep.grid import (
     session_with,
     swept_names,
 )
-from fes.cohort.sweep.page import sweep_page
-from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store
+from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_page, sweep_store
 from fes.cohort.sweep.task import Bench, Patient, burst_scores, bursts_of, keep, patient_scores, truth_scores, try_one
 from fes.cohort.task import DONE, FAILED, Outcome
 from fes.config import ConfigError, load_session

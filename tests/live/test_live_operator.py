@@ -38,18 +38,17 @@ from fes.live.commands import (
 )
 from fes.live.commands import CommandKind as Kind
 from fes.live.dashboard.access import Access
-from fes.live.dashboard.message_handler import MessageHandler
 from fes.live.dashboard.process import about_session
+from fes.live.dashboard.server import MessageHandler
 from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor, ShownLog
 from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator, unchecked_side
-from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Status, percent_of
+from fes.live.status import FootStatus, Status, percent_of, remedy
 from fes.live.stimulator import Electrodes
 from fes.live.terminal_view import picture
 from fes.session_log import Note, read_session
@@ -901,7 +900,7 @@ def test_what_the_system_refuses_is_named_with_its_cost() -> None:
     code = (
         "import resource, json; resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))\n"
         "import os\n"
-        "from fes.live.realtime import become_real_time\n"
+        "from fes.live.processes import become_real_time\n"
         "if os.geteuid() == 0: os.setgid(65534); os.setuid(65534)\n"
         "print(json.dumps([[g.name, g.refused, g.cost, g.remedy] for g in become_real_time()]))\n"
     )

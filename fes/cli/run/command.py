@@ -40,14 +40,12 @@ from fes.config import ConfigError, Session, load_session, refuse_blind_targets
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.live.calibrating import Calibrating
+from fes.live.calibrating import Calibrating, ExerciseClock
 from fes.live.commands import CommandKind, OperatorCommand
-from fes.live.exercise import ExerciseClock
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import sides_said, unchecked_side
-from fes.live.processes import HelperProcess
-from fes.live.realtime import become_real_time
+from fes.live.processes import HelperProcess, become_real_time
 from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.source import LiveSource

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from fes.evaluation.reference.alignment import Synchrony
 from fes.evaluation.reference.compare import Estimate, Pair
-from fes.evaluation.reference.csv_file import kind_of, orientation_columns
 from fes.evaluation.reference.evaluation import Evaluation, rows_of
+from fes.evaluation.reference.read import kind_of, orientation_columns
 from fes.evaluation.reference.table import ReferenceError, read_columns
 from fes.recording import Recording, Track
 from fes.signals import FloatArray

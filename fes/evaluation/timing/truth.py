@@ -17,9 +17,8 @@ from typing import Any, Final
 import numpy as np
 
 from fes.config import Session
-from fes.evaluation.lag import GRID_S, event_trains, find_lag
-from fes.evaluation.reference.csv_file import BOUNCE_S, TIME, read_csv, switch_events
-from fes.evaluation.reference.read import companion_references, read_c3d
+from fes.evaluation.reference.alignment import GRID_S, event_trains, find_lag
+from fes.evaluation.reference.read import BOUNCE_S, TIME, companion_references, read_c3d, read_csv, switch_events
 from fes.evaluation.reference.table import (
     Reference,
     ReferenceError,

@@ -15,8 +15,8 @@ from typing import Any, Final
 import uvicorn
 
 from fes.live.dashboard.access import Access, link_address, write_link
-from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
 from fes.live.dashboard.server import CONNECTIONS, Connection, Server
+from fes.live.dashboard.stream import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
 from fes.live.status import Status
 
 STOP: Final = b'{"ask":"stop"}'

@@ -13,8 +13,7 @@ from typing import Any, Final, Self
 from fes.config import Session
 from fes.estimation.sensor_choice import phase_sensors
 from fes.live.dashboard.access import LOOPBACK, link_address, write_link
-from fes.live.dashboard.frames import END, hello
-from fes.live.dashboard.stream import DashboardStream
+from fes.live.dashboard.stream import END, DashboardStream, hello
 from fes.live.operator import INTENSITY_STEP, question_of_side, unchecked_side
 from fes.live.processes import end_helper
 
