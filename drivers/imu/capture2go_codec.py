@@ -197,8 +197,7 @@ def pack(header: Header, fields: Mapping[str, Value] | None = None) -> bytes:
 def unpack(package: Package) -> dict[str, Any]:
     """The fields of a package, in the document's units; text as bytes up to its first zero.
 
-    Raises:
-        Capture2GoRejected: an unknown header, or a payload of another size.
+    Capture2GoRejected: an unknown header, or a payload of another size.
     """
     layout = _layout_of(package)
     fields = dict(zip((name for name, _ in layout.fields), _unpacked(layout, package.payload), strict=True))
@@ -237,8 +236,7 @@ def samples(package: Package) -> list[Sample]:
 
     A packed one has the stamp of its first sample, and one set of flags for all.
 
-    Raises:
-        Capture2GoRejected: as :func:`unpack`.
+    Capture2GoRejected: as :func:`unpack`.
     """
     layout = _layout_of(package)
     if not Header.DATA_FULL_PACKED_200HZ <= package.header <= Header.DATA_FULL_FLOAT_200HZ:

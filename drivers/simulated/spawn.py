@@ -43,8 +43,7 @@ class ProcessHandle:
     ends by itself. ``what`` is the device, as messages name it; ``python -m module`` runs it. ``ready`` holds the facts
     of its ready line, to which each kind of device adds its own.
 
-    Raises:
-        lost: it ended, or was not ready within ``timeout_s``; the message holds the command and what it printed.
+    lost: it ended, or was not ready within ``timeout_s``; the message holds the command and what it printed.
     """
 
     def __init__(
@@ -85,8 +84,7 @@ class ProcessHandle:
     def inject(self, fault: str, value: float = 1.0) -> int:
         """Bring a fault about now; returns when it had taken effect, by the device's clock (CLOCK_MONOTONIC), ns.
 
-        Raises:
-            lost: the device does not know it, or is gone; the message says which, and what it printed last.
+        lost: the device does not know it, or is gone; the message says which, and what it printed last.
         """
         return int(self.request({"fault": fault, "value": value})["t_ns"])
 
@@ -224,8 +222,7 @@ def spawn_node(
     own that stays on this machine (:func:`free_bus`). ``faults`` as in
     :func:`drivers.simulated.stimulator.firmware.parse_faults`.
 
-    Raises:
-        NodeFailed: it ended, or was not ready in time.
+    NodeFailed: it ended, or was not ready in time.
     """
     bus = bus or free_bus()
     arguments = ["--until-stdin-closes", *_options(clock=clock, faults=faults, boot_id=boot_id, pulses=pulses)]
@@ -264,8 +261,7 @@ def spawn_link(back: Bus, *, front: Bus | None = None, slcan: Path | None = None
 
     ``back`` is the node's bus, ``front`` the controller's; or ``slcan`` is where the simulated adapter's line will be.
 
-    Raises:
-        NodeFailed: it ended, or was not ready in time.
+    NodeFailed: it ended, or was not ready in time.
     """
     arguments = _options(back=back.model_dump_json(), front=front and front.model_dump_json(), slcan=slcan)
     return NodeHandle("the simulated CAN line", "drivers.simulated.can_link", arguments, front or back)
@@ -286,8 +282,7 @@ def spawn_device(
 ) -> DeviceHandle:
     """Start ``python -m drivers.simulated.stimulator.KIND`` and wait until it is ready.
 
-    Raises:
-        NodeFailed: it ended, or was not ready within ``timeout_s``.
+    NodeFailed: it ended, or was not ready within ``timeout_s``.
     """
     what, module = "the simulated stimulator", f"drivers.simulated.stimulator.{kind}"
     arguments = ["--until-stdin-closes", *_options(line=line, faults=faults, pulses=pulses)]
@@ -338,8 +333,7 @@ def spawn_imu(
     ``serial``: the number that ``xbus`` tells, and ``capture2go`` (6 characters). ``record``: the file for
     :meth:`ImuHandle.played`.
 
-    Raises:
-        ImuLost: it ended, or was not ready in time.
+    ImuLost: it ended, or was not ready in time.
     """
     arguments = _options(device=device, sensor=sensor, rate=rate_hz, offset=offset_s, drift=drift_ppm, line=line)
     arguments += _options(

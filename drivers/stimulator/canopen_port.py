@@ -104,8 +104,7 @@ class CanOpenSettings:
     def steps(self, current_ma: float, pulse_width_us: float) -> list[int]:
         """Current and width in the device's steps, rounded down.
 
-        Raises:
-            ValueError: not finite, negative, or over the device's limits or what its entries hold.
+        ValueError: not finite, negative, or over the device's limits or what its entries hold.
         """
         out: list[int] = []
         current = ("current_ma", current_ma, self.current_step_ma, self.max_current_ma)
@@ -204,8 +203,7 @@ class CanOpenStimulator:
     def open(self, t_ns: int, timeout_s: float = 4.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
         """Wait for the heartbeat, start the node, set every current to 0 and have that confirmed.
 
-        Raises:
-            StimulatorLost: no heartbeat, or the node does not start or refuses; the message says what to check.
+        StimulatorLost: no heartbeat, or the node does not start or refuses; the message says what to check.
         """
         deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
         node = self._settings.node_id
@@ -266,8 +264,7 @@ class CanOpenStimulator:
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All that has arrived, at most 128 frames, and what should have, stamped ``t_ns``.
 
-        Raises:
-            StimulatorLost: the bus cannot be read, or the node has restarted and the last call said so.
+        StimulatorLost: the bus cannot be read, or the node has restarted and the last call said so.
         """
         self._need_session()
         events: list[StimStatus | StimAlive] = []

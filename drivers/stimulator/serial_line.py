@@ -138,8 +138,7 @@ class SerialLine:
     def write(self, data: bytes) -> None:
         """Hand all of it to the system now.
 
-        Raises:
-            StimulatorLost: the line is gone, or took less than all: the device drops the torn frame.
+        StimulatorLost: the line is gone, or took less than all: the device drops the torn frame.
         """
         try:
             written = os.write(self._descriptor, data)
@@ -196,8 +195,7 @@ class SerialLine:
 def open_line(port: str, settings: LineSettings) -> SerialLine:
     """The line named ``port``: ``/dev/ttyUSB0``, a pseudo-terminal, or ``socket://host:port``. Nobody else may open it.
 
-    Raises:
-        StimulatorLost: no such port, no permission, in use, or no descriptor behind it; the message says what to do.
+    StimulatorLost: no such port, no permission, in use, or no descriptor behind it; the message says what to do.
     """
     options: dict[str, object] = {} if "://" in port else {"exclusive": True, "rtscts": settings.rtscts}
     # a pseudo-terminal has no parity, and the system refuses settings of which none can be had

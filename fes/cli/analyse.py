@@ -190,8 +190,7 @@ def command(
 def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) -> Recording:
     """The recording with the right foot set to the left one's clock; says what was done and how sure it is.
 
-    Raises:
-        CalibrationError: it cannot be told.
+    CalibrationError: it cannot be told.
     """
     from fes.analysis.hemiparetic.sync import synchronised
 

@@ -206,8 +206,7 @@ def command(
 def simulate(settings: PatientSettings, options: Options) -> None:
     """Walk, write, and say what came of it.
 
-    Raises:
-        Problem: files in the way, an unusable session, a foot that cannot be calibrated.
+    Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
     from fes.hil.closed_loop.one_process import write_strides
     from fes.recording import RecordingError, write_recording

@@ -151,8 +151,7 @@ def apply_best(found: Sequence[Combination], session: Path, target: Path, cases:
 
     ``as_json``: on stderr, for stdout holds the JSON alone.
 
-    Raises:
-        Problem: there is none, they are not allowed, or the file cannot be written.
+    Problem: there is none, they are not allowed, or the file cannot be written.
     """
     from fes.cohort.sweep.grid import THRESHOLDS
     from fes.config import ConfigError, load_session, validate_session

@@ -112,8 +112,7 @@ class Case:
 def find_recordings(given: Iterable[Path]) -> dict[str, Path]:
     """Recordings and session logs by name, those of a folder by their place in it.
 
-    Raises:
-        Problem: there is none, or two have one name.
+    Problem: there is none, or two have one name.
     """
     found: dict[str, Path] = {}
     for path in given:
@@ -145,8 +144,7 @@ def _is_recording(path: Path) -> bool:
 def cases(recordings: Mapping[str, Path], options: Options) -> Iterator[Case]:
     """Each recording measured, one after the other.
 
-    Raises:
-        RecordingError, ConfigError, CalibrationError, SessionLogError, ReferenceError, TimingError: one is unusable.
+    RecordingError, ConfigError, CalibrationError, SessionLogError, ReferenceError, TimingError: one is unusable.
     """
     if options.truth and options.truth.is_file() and len(recordings) > 1:
         raise TimingError(f"{options.truth}: is the truth of one recording, not of {len(recordings)}; name a folder.")

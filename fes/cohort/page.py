@@ -121,8 +121,7 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
 
     ``rows``: of the recordings, where they have been read already.
 
-    Raises:
-        OSError: they cannot be written.
+    OSError: they cannot be written.
     """
     wanted = set(identities)
     rows = store.table(RECORDINGS, wanted).to_pylist() if rows is None else rows

@@ -106,8 +106,7 @@ def fetch(filesystem: AbstractFileSystem, path: str, folder: Path, endings: tupl
     Nothing is ever written elsewhere, whatever the sidecar names: what lies too far up is left out, and reading the
     recording will say that it is missing.
 
-    Raises:
-        OSError: the storage does not answer, or the data file is gone.
+    OSError: the storage does not answer, or the data file is gone.
     """
     other = sidecar_of(path)
     sidecar: bytes | None = filesystem.cat_file(other) if filesystem.isfile(other) else None
@@ -171,8 +170,7 @@ def find_sources(patterns: Sequence[str], companions: Sequence[str] = ()) -> lis
     In folders and globs only files that have a sidecar beside them count; a file that is named outright always does,
     so that a missing sidecar is told. ``companions``: endings of files of the same name that results rest on too.
 
-    Raises:
-        CohortError: a storage cannot be opened, or nothing is found.
+    CohortError: a storage cannot be opened, or nothing is found.
     """
     found: dict[str, Source] = {}
     for pattern in patterns:
@@ -235,8 +233,7 @@ def local_copy(source: Source, companions: Sequence[str] = ()) -> Iterator[Path]
 
     ``companions``: endings of further files of the same name that come too where they are there, as ``.strides.csv``.
 
-    Raises:
-        CohortError: it is gone, or the storage does not answer.
+    CohortError: it is gone, or the storage does not answer.
     """
     try:
         filesystem, path = fsspec.core.url_to_fs(source.url)

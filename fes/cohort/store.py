@@ -105,11 +105,7 @@ class Store:
     last: str = RECORDINGS
 
     def prepare(self, about: Mapping[str, Any]) -> None:
-        """Make the folder and say what is in it.
-
-        Raises:
-            CohortError: it cannot be written.
-        """
+        """Make the folder and say what is in it. CohortError: it cannot be written."""
         filesystem, root = self._open()
         try:
             for table in self.schemas:
@@ -125,8 +121,7 @@ class Store:
     def put(self, identity: str, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
         """Keep one piece of work's rows; those of the last table last, so that a crash leaves it to be done again.
 
-        Raises:
-            OSError: the storage is full or gone.
+        OSError: the storage is full or gone.
         """
         filesystem, root = self._open()
         for table in sorted(tables, key=lambda name: name == self.last):
@@ -160,8 +155,7 @@ class Store:
     def remove(self, identities: Iterable[str]) -> None:
         """Take all rows of these away; those of the last table last, so that a crash on the way leaves them known.
 
-        Raises:
-            OSError: the storage does not let it.
+        OSError: the storage does not let it.
         """
         self._remove(identities, sorted(self.schemas, key=lambda name: name == self.last))
 

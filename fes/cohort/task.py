@@ -51,8 +51,7 @@ class Outcome:
 def analyse_one(source: Source, store: Store, settings: Settings) -> Outcome:
     """Analyse a recording and keep its rows; what is wrong with the recording is kept as its reason.
 
-    Raises:
-        OSError: the results cannot be kept; the recording counts as not done.
+    OSError: the results cannot be kept; the recording counts as not done.
     """
     identity = source.identity(settings.text())
     try:
@@ -75,8 +74,7 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
 
     Else whoever reads the folder as one table would find these recordings twice.
 
-    Raises:
-        OSError: the storage does not let it.
+    OSError: the storage does not let it.
     """
     finished = store.finished()
     now = {source.url: source.identity(settings.text()) for source in sources}

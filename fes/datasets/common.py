@@ -42,8 +42,7 @@ def write_imported(
 
     ``about`` (source, licence, citation …) and the notes go into the sidecar's ``[extra]``.
 
-    Raises:
-        ImportProblem: a file is in the way or cannot be written.
+    ImportProblem: a file is in the way or cannot be written.
     """
     recording = imported.recording
     extra = {**recording.extra, **about, **({"notes": list(imported.notes)} if imported.notes else {})}
@@ -103,11 +102,7 @@ def checked(path: Path, acc: FloatArray, gyr: FloatArray) -> None:
 
 
 def mat_file(path: Path, *needed: str) -> dict[str, Any]:
-    """The variables of a MATLAB file (version 5 to 7).
-
-    Raises:
-        ImportProblem: it cannot be read or lacks one of ``needed``.
-    """
+    """The variables of a MATLAB file (version 5 to 7). ImportProblem: it cannot be read or lacks one of ``needed``."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -123,8 +118,7 @@ def mat_file(path: Path, *needed: str) -> dict[str, Any]:
 def npz_file(path: Path, *needed: str) -> dict[str, FloatArray]:
     """The arrays of a NumPy archive; nothing in it is executed.
 
-    Raises:
-        ImportProblem: it cannot be read or lacks one of ``needed``.
+    ImportProblem: it cannot be read or lacks one of ``needed``.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
@@ -155,8 +149,7 @@ def _csv_numbers(path: Path, header_lines: int) -> tuple[list[list[str]], FloatA
 def two_header_csv(path: Path) -> dict[tuple[str, str], FloatArray]:
     """Columns (N,) of a CSV whose names stand in two lines; empty cells are NaN. The index column is left out.
 
-    Raises:
-        ImportProblem: it is no such table.
+    ImportProblem: it is no such table.
     """
     (first, second), values = _csv_numbers(path, 2)
     if len(first) != len(second) or values.shape[1:] != (len(first),) or len(values) < 3:

@@ -100,8 +100,7 @@ DATA_SETS: Final = {each.name: each for each in _SETS}
 def data_sets() -> dict[str, DataSet]:
     """By name, the data sets known here and those that installed packages bring; ours go first where names meet.
 
-    Raises:
-        ImportProblem: what a package brings is no data set.
+    ImportProblem: what a package brings is no data set.
     """
     found = dict(DATA_SETS)
     for name in extension_names("importer"):
@@ -131,8 +130,7 @@ def data_set(name: str) -> DataSet:
 def files_of(name: str, paths: Sequence[Path]) -> list[Path]:
     """The files to read; a folder stands for all files in it that look like the data set's.
 
-    Raises:
-        ImportProblem: the set is not known, or nothing of it is there.
+    ImportProblem: the set is not known, or nothing of it is there.
     """
     looks_like = data_set(name).looks_like
     found = []
@@ -153,8 +151,7 @@ def read_file(name: str, path: Path, *, foot: str | None = None) -> Imported:
 
     ``foot`` says whose a sensor is of which the data set does not tell.
 
-    Raises:
-        ImportProblem: it is none of its files.
+    ImportProblem: it is none of its files.
     """
     known = data_set(name)
     if known.read is not None:

@@ -130,8 +130,7 @@ def explain(
 ) -> Explanation:  # fmt: skip
     """Run ``events`` through ``runner`` until just behind ``at_ns`` and say how things stood there.
 
-    Raises:
-        ValueError: no event comes before ``at_ns``.
+    ValueError: no event comes before ``at_ns``.
     """
     controller = runner.controller
     foot_of = {tracker.foot: foot for foot, tracker in controller.trackers.items()}

@@ -62,8 +62,7 @@ def recorded_walker(recording: Recording, found: SensorCalibrations, folder: Pat
     Nobody knows the true phases of a recording. In their place is what its off-line analysis finds with all samples at
     hand: stance lasts from foot flat to heel rise (:func:`fes.estimation.events.offline.find_events`).
 
-    Raises:
-        RecordingError: no foot does so, or no foot is calibrated.
+    RecordingError: no foot does so, or no foot is calibrated.
     """
     analysis = analyse(recording, found.calibrations)
     for foot in sorted(FOOT_SENSORS, key=lambda name: name != FOOT):
@@ -351,8 +350,7 @@ def on_hardware(scenario: Scenario) -> bool:
 def hardware_session(path: Path) -> Session:
     """The settings, if a campaign can judge them.
 
-    Raises:
-        ConfigError: they cannot be used, or do not allow to tell a burst's end.
+    ConfigError: they cannot be used, or do not allow to tell a burst's end.
     """
     session = load_session(path)
     if not session.channels:

@@ -35,8 +35,7 @@ class PipedLog(RecordBuffer):
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         """Create the file, start its writer, wait until that has written the header.
 
-        Raises:
-            SessionLogError: the file is there already, cannot be made or written, or the header is not plain data.
+        SessionLogError: the file is there already, cannot be made or written, or the header is not plain data.
         """
         super().__init__(path, header)
         file = create(self.path)
@@ -97,8 +96,7 @@ class PipedLog(RecordBuffer):
     def close(self, summary: dict[str, Any]) -> None:
         """Send the summary as the last record and wait until the writer has ended. Closing again does nothing.
 
-        Raises:
-            SessionLogError: not all of it is on the disk.
+        SessionLogError: not all of it is on the disk.
         """
         if self._closed:
             return

@@ -130,8 +130,7 @@ class TuningCommands:
     def execute(self, command: OperatorCommand, channel: int, t_ns: int) -> list[OperatorAct]:
         """The events that the command, one of :data:`ACTIONS`, makes; none where a key must be pressed again.
 
-        Raises:
-            Refusal: nothing tunes itself, nothing is suggested, or it is so already.
+        Refusal: nothing tunes itself, nothing is suggested, or it is so already.
         """
         tuners = self._tuning.tuners
         if not tuners:

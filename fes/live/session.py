@@ -126,11 +126,7 @@ class LiveSession:
         self._inputs.append(self._keyboard)
 
     def add_control(self, path: Path) -> None:
-        """A control socket.
-
-        Raises:
-            OSError: it cannot be made.
-        """
+        """A control socket. OSError: it cannot be made."""
         self._control = Control(path, self.operator.execute)
         self._inputs.append(self._control)
 
@@ -159,8 +155,7 @@ class LiveSession:
         ``handshake``: what opening the stimulator put on the wire; ``first_answers``: what it answered; ``grants``:
         what the operating system gave. ``check`` is called after every event and may raise KeyboardInterrupt.
 
-        Raises:
-            SessionLogError: the log cannot be written any more.
+        SessionLogError: the log cannot be written any more.
         """
         begin_ns = self._clock_ns()
         self.notices.streams = streams

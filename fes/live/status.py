@@ -96,11 +96,7 @@ class Status:
 
     @staticmethod
     def decode(datagram: bytes) -> Status:
-        """Back from the datagram.
-
-        Raises:
-            ValueError: it is none of this version.
-        """
+        """Back from the datagram. ValueError: it is none of this version."""
         try:
             data: dict[str, Any] = json.loads(datagram)
             if data["version"] != VERSION:

@@ -48,8 +48,7 @@ class Finding(NamedTuple):
 def findings(evidence: dict[str, Any]) -> list[Finding]:
     """All deviations that the figures of this evidence show, each name once.
 
-    Raises:
-        KeyError, TypeError: it is no evidence of a sensor or a stimulator.
+    KeyError, TypeError: it is no evidence of a sensor or a stimulator.
     """
     figures, settings = evidence["figures"], evidence["settings"]
     found = _sensor(figures, settings) if evidence["what"] == "sensor" else _stimulator(figures, settings)
@@ -174,8 +173,7 @@ def sealed(evidence: Mapping[str, Any], key: bytes = b"") -> dict[str, Any]:
 def load_evidence(path: Path, key: bytes = b"") -> dict[str, Any]:
     """Evidence as it was written; with ``key`` its signature by that key is checked too.
 
-    Raises:
-        EvidenceRefused: it cannot be read, is none, or is not as it was written.
+    EvidenceRefused: it cannot be read, is none, or is not as it was written.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

@@ -52,8 +52,7 @@ class Ends(StrEnum):
 def exercise_of(session: Session, number: int, path: Path) -> Session:
     """The session's channel of this number as an exercise by itself, with its own limits and no sensor.
 
-    Raises:
-        ConfigError: no such channel, or its limits leave no room for what is tried.
+    ConfigError: no such channel, or its limits leave no room for what is tried.
     """
     channel = next((each for each in session.channels if each.number == number), None)
     if channel is None:
@@ -171,8 +170,7 @@ class StimulatorBench:
     ) -> tuple[float, int]:
         """One burst and what comes after it; how long it was asked for in ms, and how many commands were refused.
 
-        Raises:
-            NotQualified: the gate refuses what is asked for, and the stimulator is not to blame.
+        NotQualified: the gate refuses what is asked for, and the stimulator is not to blame.
         """
         self._open()  # while a person got ready it heard no command, and may have ended its session
         self._let_pass(gate, self.channel.limits.min_off_s + SETTLE_S)

@@ -51,8 +51,7 @@ def write_report(
     out. ``gait``: its parameters from the samples; else they are worked out from the strides. ``hemiparetic``: what was
     found of the walk as a hemiparetic one. The same record always gives the same bytes.
 
-    Raises:
-        ReportError: the file cannot be written.
+    ReportError: the file cannot be written.
     """
     text = render_report(record, data=data, paths=paths, gait=gait, hemiparetic=hemiparetic)
     write_page_file(text, path, "Choose a place that can be written to.")

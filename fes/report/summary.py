@@ -365,8 +365,7 @@ def summarise(record: WalkRecord) -> SessionSummary:
 def summarise_session(record: WalkRecord) -> ReportData:
     """Work out a session's numbers and keep the columns they came from.
 
-    Raises:
-        SessionLogError: its times run over more than a month, or are too large to be subtracted.
+    SessionLogError: its times run over more than a month, or are too large to be subtracted.
     """
     settings = stimulation.session_settings(record.header)
     origin_ns, end_ns = session_span(record)

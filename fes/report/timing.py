@@ -43,8 +43,7 @@ def write_timing_pages(outcomes: Sequence[RecordingTiming], folder: Path, names:
 
     ``names``: what is checked, and what it is held against.
 
-    Raises:
-        ReportError: one cannot be written.
+    ReportError: one cannot be written.
     """
     pages = {each.name: folder / (re.sub(r"[^\w.-]+", "_", each.name) + ".html") for each in outcomes}
     worst = {each.name: worst_cases(each) for each in outcomes}

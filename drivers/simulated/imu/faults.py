@@ -259,11 +259,7 @@ class FaultedImu:
         return None if waits or self._unplugged else self._port.fileno()
 
     def read(self, t_ns: int) -> list[RawSample]:
-        """What has arrived by ``t_ns``, as the port's.
-
-        Raises:
-            ImuLost: the line broke, or is unplugged.
-        """
+        """What has arrived by ``t_ns``, as the port's. ImuLost: the line broke, or is unplugged."""
         if self._unplugged:
             raise ImuLost(UNPLUGGED)
         out: list[RawSample] = []

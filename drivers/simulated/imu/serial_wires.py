@@ -56,8 +56,7 @@ class Air:
 class Capture2GoWire(Wire):
     """A sensor of this rate; ``air`` is shared by those that can hear each other. ``serial``: 6 characters count.
 
-    Raises:
-        ValueError: a rate that it has not.
+    ValueError: a rate that it has not.
     """
 
     carries_nan = False

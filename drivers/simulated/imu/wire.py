@@ -175,8 +175,7 @@ class DbcWire(Wire):
     carry is sent as the signal's end. A signal of integers has no NaN: a sample with one is not sent. Signals that no
     option names are sent as 0.
 
-    Raises:
-        ValueError: the DBC cannot be read, or an option does not fit it; the message names the option.
+    ValueError: the DBC cannot be read, or an option does not fit it; the message names the option.
     """
 
     def __init__(self, options: Mapping[str, str | int | float | bool]) -> None:

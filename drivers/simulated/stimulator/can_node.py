@@ -56,8 +56,7 @@ class NodeLoop:
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
 
-        Raises:
-            BusBroken: reading failed a hundred times in a row.
+        BusBroken: reading failed a hundred times in a row.
         """
         try:
             while self._turn():

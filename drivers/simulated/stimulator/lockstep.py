@@ -97,8 +97,7 @@ class LockstepStimulator(CanStimulator):
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All answers to what was sent; waits for the last of them.
 
-        Raises:
-            StimulatorLost: the node did not answer within five seconds of real time.
+        StimulatorLost: the node did not answer within five seconds of real time.
         """
         replies = super().poll(t_ns)
         give_up_ns = time.monotonic_ns() + ANSWER_WITHIN_NS

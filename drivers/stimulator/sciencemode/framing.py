@@ -42,8 +42,7 @@ def frame(header: bytes, body: bytes) -> bytes:
 def unstuff(body: bytes) -> bytes:
     """The inverse of :func:`stuff`, and no more than that.
 
-    Raises:
-        FrameRejected: a byte that must be stuffed is not, one that must not be is, or the last is cut off.
+    FrameRejected: a byte that must be stuffed is not, one that must not be is, or the last is cut off.
     """
     out = bytearray()
     stuffed = False

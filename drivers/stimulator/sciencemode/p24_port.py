@@ -114,8 +114,7 @@ Points = tuple[Point, ...]
 def biphasic(current_ma: float, pulse_width_us: float) -> Points:
     """A rectangular pulse whose second phase takes back what the first gave; () when there is nothing to deliver.
 
-    Raises:
-        ValueError: not finite, negative, or over the device's limits.
+    ValueError: not finite, negative, or over the device's limits.
     """
     for name, value in (("current_ma", current_ma), ("pulse_width_us", pulse_width_us)):
         if not math.isfinite(value) or value < 0:
@@ -146,8 +145,7 @@ def _encode_points(points: Points) -> bytes:
 def low_pulse(number: int, channel: int, points: Points) -> Packet:
     """One pulse, once. Channels 0–3 are on the yellow connector, 4–7 on the green one.
 
-    Raises:
-        ValueError: no such channel, out of range, or not charge-balanced.
+    ValueError: no such channel, out of range, or not charge-balanced.
     """
     if not 0 <= channel < CHANNELS:
         raise ValueError(f"channel {channel}; this stimulator has 0 to {CHANNELS - 1}")
@@ -168,8 +166,7 @@ class Train:
 def period_steps(frequency_hz: float) -> int:
     """The period in half milliseconds: the next longer one, so that it is never faster than asked for.
 
-    Raises:
-        ValueError: the device cannot be that slow, or the frequency is no positive number.
+    ValueError: the device cannot be that slow, or the frequency is no positive number.
     """
     if not math.isfinite(frequency_hz) or frequency_hz <= 0:
         raise ValueError(f"frequency_hz = {frequency_hz!r} must be a finite number above 0")
@@ -182,8 +179,7 @@ def period_steps(frequency_hz: float) -> int:
 def mid_update(number: int, trains: Mapping[int, Train]) -> Packet:
     """The trains of all channels from now on; channels not named are off.
 
-    Raises:
-        ValueError: no such channel, out of range, or not charge-balanced.
+    ValueError: no such channel, out of range, or not charge-balanced.
     """
     mask, data = 0, b""
     for channel in sorted(trains):
@@ -371,8 +367,7 @@ class MidLevelStimulator(_P24):
 
     The device counts no pulses, so its :class:`StimStatus` carry none. Ramps are the plan's; the device's are not used.
 
-    Raises:
-        ValueError: ``accept_watchdog_s`` is less than the device's watchdog.
+    ValueError: ``accept_watchdog_s`` is less than the device's watchdog.
     """
 
     one_pulse_per_command: ClassVar[bool] = False

@@ -78,8 +78,7 @@ class ScienceModePort(ABC):
     def open(self, t_ns: int, timeout_s: float = 4.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
         """Bring the device to where it takes commands. Waits at most ``timeout_s`` by ``clock_ns``.
 
-        Raises:
-            StimulatorLost: nobody answered, or the device refused; the message says what to check.
+        StimulatorLost: nobody answered, or the device refused; the message says what to check.
         """
         opening = Opening(t_ns, clock_ns() + int(timeout_s * NS_PER_S), clock_ns)
         while self._line.read():  # what lies there is another session's
@@ -116,8 +115,7 @@ class ScienceModePort(ABC):
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All that has arrived, and what should have, stamped ``t_ns``; :attr:`heard` is then what it came as.
 
-        Raises:
-            StimulatorLost: the line broke, or the device has restarted and the last call said so.
+        StimulatorLost: the line broke, or the device has restarted and the last call said so.
         """
         self._need_session()
         for refused, why in self._refusals:

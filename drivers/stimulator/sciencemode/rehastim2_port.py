@@ -90,8 +90,7 @@ def error_text(error: int) -> str:
 def pulse(current_ma: float, pulse_width_us: float) -> tuple[int, int]:
     """Width in µs and current in mA as they are sent; :data:`NO_PULSE` when there is nothing to deliver.
 
-    Raises:
-        ValueError: not finite, negative, or over the device's limits.
+    ValueError: not finite, negative, or over the device's limits.
     """
     current, width = ("current_ma", current_ma, MAX_CURRENT_MA), ("pulse_width_us", pulse_width_us, MAX_WIDTH_US)
     for name, value, most in (current, width):
@@ -114,8 +113,7 @@ def list_init(number: int, channels: Sequence[int], interval: int = ONE_SHOT) ->
 def list_start(number: int, pulses: Sequence[tuple[int, int]]) -> Packet:
     """One pulse for each channel of the list, lowest first: (width in µs, current in mA) as :func:`pulse` gives them.
 
-    Raises:
-        ValueError: no pulses, or one out of range.
+    ValueError: no pulses, or one out of range.
     """
     if not pulses:
         raise ValueError("a list has at least one channel")

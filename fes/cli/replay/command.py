@@ -66,8 +66,7 @@ from fes.walk_record import MARK
 class ReplayDashboard:
     """The dashboard of a replay: ``log`` for its loop, ``clock`` to pace it by; :meth:`publish` after every event.
 
-    Raises:
-        Problem: it cannot be served.
+    Problem: it cannot be served.
     """
 
     def __init__(
@@ -149,8 +148,7 @@ TARGETS: Final = ("simulated", "none", "bus")
 def refuse_settings_of_a_recording(*allowed: str) -> None:
     """A session log brings its own settings; one given here would change nothing, so say so.
 
-    Raises:
-        Problem: one was given that is not ``allowed``.
+    Problem: one was given that is not ``allowed``.
     """
     useless = given_options() - {"recording", "as_json", "dashboard", *allowed}
     for option in click.get_current_context().command.params:

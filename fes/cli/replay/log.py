@@ -42,8 +42,7 @@ class Prepared(NamedTuple):
 def prepared(path: Path, settings: Path | None, calibration: Path | None) -> Prepared:
     """Read a recording; ``settings`` are a session's, by default ``session.toml`` beside it.
 
-    Raises:
-        RecordingError, ConfigError, CalibrationError: one of the files cannot be used.
+    RecordingError, ConfigError, CalibrationError: one of the files cannot be used.
     """
     recording = read_recording(path)
     refuse_long_silence(recording)
@@ -88,8 +87,7 @@ def repeat(path: Path) -> Repeated:
 
     A log that is torn, or whose session stopped half-way through an event, is compared as far as it goes.
 
-    Raises:
-        SessionLogError, ConfigError: the log cannot be read, or is of another kind.
+    SessionLogError, ConfigError: the log cannot be read, or is of another kind.
     """
     again = Reopened(path)
     record, runner = again.record, again.runner
@@ -112,8 +110,7 @@ class Reopened:
 
     ``recorded`` are its commands' frames, None where bytes cannot be compared.
 
-    Raises:
-        SessionLogError, ConfigError: as :func:`repeat`.
+    SessionLogError, ConfigError: as :func:`repeat`.
     """
 
     def __init__(self, path: Path) -> None:

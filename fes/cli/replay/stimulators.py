@@ -111,8 +111,7 @@ class SerialSink(_RepeatingSink):
 
     A line that was lost got no command.
 
-    Raises:
-        ConfigError: the log's settings are not such a device's.
+    ConfigError: the log's settings are not such a device's.
     """
 
     def __init__(self, session: Session, polled_every_ns: int = 0) -> None:
@@ -223,8 +222,7 @@ def simulated(
 ) -> Iterator[Opened]:
     """A simulated stimulator in its own process on virtual CAN; in lockstep its clock is the replay's.
 
-    Raises:
-        StimulatorLost, BusError: it did not start, or cannot be reached.
+    StimulatorLost, BusError: it did not start, or cannot be reached.
     """
     with spawn_node(boot_id=boot_id, record=record, clock="bus" if lockstep else "real") as node:
         kind = LockstepStimulator if lockstep else CanStimulator

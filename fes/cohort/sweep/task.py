@@ -214,8 +214,7 @@ def sweep_tasks(cases: Iterable[Case], points: Sequence[Point], bench: Bench, st
 def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
     """Try a combination and keep its row; what is wrong with it, or with the recording, is kept as its reason.
 
-    Raises:
-        OSError: the results cannot be kept; it counts as not done.
+    OSError: the results cannot be kept; it counts as not done.
     """
     try:
         scores = _on_patient(case, bench, point) if isinstance(case, Patient) else _on_recording(case, bench, point)
@@ -250,8 +249,7 @@ class SweptFoot(FootCalibration):
 def with_thresholds(calibrations: dict[str, Calibration], point: Point) -> dict[str, Calibration]:
     """Calibrations with a combination's thresholds.
 
-    Raises:
-        CohortError: a sensor is none on a foot, or a value is not of the threshold's kind.
+    CohortError: a sensor is none on a foot, or a value is not of the threshold's kind.
     """
     changes = thresholds_of(point)
     if not changes:

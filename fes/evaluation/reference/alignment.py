@@ -68,8 +68,7 @@ def find_lag(
 
     Times are (N,) and (M,) in s, the signals (N, K) or (N,), (M, K) or (M,); NaN rows count as unknown.
 
-    Raises:
-        ValueError: nothing overlaps within that lag, or a signal never changes.
+    ValueError: nothing overlaps within that lag, or a signal never changes.
     """
     a, begin_a = _on_grid(reference_s, reference)
     b, begin_b = _on_grid(recording_s, recording)
@@ -176,8 +175,7 @@ def to_belt(path: MarkerPath, belt: FloatArray, axis: str | None = None) -> OnBe
     ``belt`` (N, 2) are times (s) and speed (m/s), which stays as it is before the first and after the last; ``axis``
     "+x", "-x", "+y" or "-y" is the direction of walking, None: found from the standing foot.
 
-    Raises:
-        ReferenceError: the standing foot does not move with the belt, along any axis or the one given.
+    ReferenceError: the standing foot does not move with the belt, along any axis or the one given.
     """
     run_m = _belt_run_m(belt, path.t_s)
     fastest = float(np.abs(belt[:, 1]).max())
@@ -258,8 +256,7 @@ def synchronise(
 ) -> Synchrony:
     """Find the lag, and say which one to apply: the one given, the one found (``fit``), else none.
 
-    Raises:
-        ReferenceError: the lag is to be fitted, and cannot be, or cannot be believed.
+    ReferenceError: the lag is to be fitted, and cannot be, or cannot be believed.
     """
     try:
         by, found = _lag(reference, estimate, most_s)
@@ -343,8 +340,7 @@ def _refined(found: Lag, true: list[FloatArray], ours: list[FloatArray]) -> Lag:
 def speed_of(estimate: Estimate, foot: str) -> tuple[FloatArray, FloatArray]:
     """Estimated horizontal speed of the sensor (N,) in m/s at times (N,): along the strides, 0 between them.
 
-    Raises:
-        ValueError: no valid stride with a way.
+    ValueError: no valid stride with a way.
     """
     times, speeds = list[FloatArray](), list[FloatArray]()
     for stride in estimate.strides_of(foot):

@@ -232,8 +232,7 @@ class Evaluation:
 def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None = None) -> Evaluation:
     """Bring the reference to the recording's clock and the belt's frame, pair, and work out the agreement.
 
-    Raises:
-        ReferenceError: the reference fits nothing that was estimated.
+    ReferenceError: the reference fits nothing that was estimated.
     """
     chosen = settings or Settings()
     reference = _own_feet(reference, estimate)
@@ -292,11 +291,7 @@ def agreement(quantity: str, foot: str, pairs: list[Pair]) -> AgreementRow:
 
 
 def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
-    """Without what is of feet that the recording does not have.
-
-    Raises:
-        ReferenceError: nothing is left.
-    """
+    """Without what is of feet that the recording does not have. ReferenceError: nothing is left."""
     feet = set(estimate.feet)
     parts = ("events", "strides", "paths", "ends")
     others = {each.foot for part in parts for each in getattr(reference, part)} - feet

@@ -48,8 +48,7 @@ def only_orientations(paths: Sequence[Path]) -> bool:
 def read_orientation(path: Path) -> OrientationReference:
     """Read a table t, q_w, q_x, q_y, q_z, and perhaps sensor (or foot) and moving.
 
-    Raises:
-        ReferenceError: it cannot be read, or a quaternion is none.
+    ReferenceError: it cannot be read, or a quaternion is none.
     """
     table = read_columns(path)
     t_s, quaternion, judged = orientation_columns(table)
@@ -69,8 +68,7 @@ def read_orientation(path: Path) -> OrientationReference:
 def evaluate_orientation(recording: Recording, references: Sequence[OrientationReference]) -> Evaluation:
     """Hold each reference against its sensor's orientation, off-line; the causal filter's error stands in the notes.
 
-    Raises:
-        ReferenceError: the recording has no such sensor, or both hardly overlap.
+    ReferenceError: the recording has no such sensor, or both hardly overlap.
     """
     pairs: list[Pair] = []
     notes: list[str] = []

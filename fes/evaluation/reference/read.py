@@ -67,8 +67,7 @@ _MARKER: Final = re.compile(r"(left|right|l|r)_(?:foot_)?(\w+)_x")
 def read_csv(path: Path, *, foot: str | None = None) -> Reference:
     """Read one CSV; ``foot`` is whose it is where it does not say.
 
-    Raises:
-        ReferenceError: it cannot be read, or is of no known kind.
+    ReferenceError: it cannot be read, or is of no known kind.
     """
     table = read_columns(path)
     kind = kind_of(table)
@@ -219,8 +218,7 @@ def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatAr
     Times (N,) increase; each of the signals (N,) has two levels, or is a pressure of which the 2nd and 98th percentile
     are taken for the levels. ``source`` is the file, for messages.
 
-    Raises:
-        ReferenceError: none of the switches ever changes.
+    ReferenceError: none of the switches ever changes.
     """
     down = np.zeros(len(t_s), dtype=bool)
     changed = False
@@ -331,8 +329,7 @@ def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None
     ``markers`` are label → (foot, point), without it labels as in LHEE, RTOE, L_FCC, right_heel; ``up`` is the
     laboratory's vertical axis.
 
-    Raises:
-        ReferenceError: it cannot be read, holds nothing of the feet, or ezc3d is not installed.
+    ReferenceError: it cannot be read, holds nothing of the feet, or ezc3d is not installed.
     """
     if not path.is_file():
         raise ReferenceError(f"{path}: is not there. Name a C3D file.")
@@ -431,8 +428,7 @@ def read_references(
 
     ``foot`` is whose a table without a column for it is; ``markers`` and ``up`` as of :func:`read_c3d`.
 
-    Raises:
-        ReferenceError: one cannot be used, or two say the same thing.
+    ReferenceError: one cannot be used, or two say the same thing.
     """
     whole = Reference()
     for path in map(Path, paths):

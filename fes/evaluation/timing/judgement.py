@@ -112,8 +112,7 @@ def measure(
     The marks are those of the first run; every run gives the same. Of each decision the quickest time counts, so that
     what else the machine does meanwhile, which hits another decision each time, is left out. ``clock_ns`` measures it.
 
-    Raises:
-        ConfigError: the calibrations fit no controller.
+    ConfigError: the calibrations fit no controller.
     """
     up = {sensor: each.up for sensor, each in calibrations.items()}
     sensors = set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS))
@@ -253,11 +252,7 @@ def _number(value: float) -> str:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Read a baseline.
-
-    Raises:
-        TimingError: it is none, or a tolerance is no number; says where.
-    """
+    """Read a baseline. TimingError: it is none, or a tolerance is no number; says where."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -65,8 +65,7 @@ def run_in_one_process(
     be there; ``created`` is an ISO time for it. ``on_stride`` is given the affected foot's strides, ``on_note`` the
     log's notes; ``after`` is called after every event and may raise to end the run.
 
-    Raises:
-        SessionLogError: the log cannot be written.
+    SessionLogError: the log cannot be written.
     """
     patient = VirtualPatient(settings)
     numbers = identity(f"{__version__}{settings!r}{protocol!r}", session)
@@ -289,11 +288,7 @@ def _until_clear(strides: Sequence[VirtualStride]) -> int | None:
 
 
 def write_strides(path: Path, strides: Sequence[VirtualStride]) -> None:
-    """The patient's own account of its strides, as CSV.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """The patient's own account of its strides, as CSV. OSError: it cannot be written."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, [item.name for item in fields(VirtualStride)], lineterminator="\n")
         writer.writeheader()

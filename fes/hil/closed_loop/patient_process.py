@@ -119,11 +119,7 @@ class PatientDevice:
         return on_its_line(self._kind, sensor, self._start_ns)
 
     def begin(self, t_ns: int) -> None:
-        """Let the patient's time begin now.
-
-        Raises:
-            ValueError: it has begun.
-        """
+        """Let the patient's time begin now. ValueError: it has begun."""
         if self._start_ns != HELD:
             raise ValueError("the patient's time has begun already")
         self._start_ns = t_ns
@@ -159,11 +155,7 @@ class PatientDevice:
         return self._imus[sensor].receive(t_ns, data)
 
     def set_fault(self, sensor: str, t_ns: int, name: str, value: float) -> list[bytes]:
-        """Bring a sensor's fault about; what it says.
-
-        Raises:
-            ValueError: no such fault or sensor.
-        """
+        """Bring a sensor's fault about; what it says. ValueError: no such fault or sensor."""
         if sensor not in self._imus:
             raise ValueError(f"no sensor {sensor!r} is worn; there are {', '.join(self._imus)}")
         return self._imus[sensor].set_fault(t_ns, name, value)

@@ -35,8 +35,7 @@ def link_address(port: int, token: str) -> str:
 def write_link(path: Path, address: str) -> None:
     """Put the address into its file, for the owner only; who reads meanwhile gets the old one or the new one.
 
-    Raises:
-        OSError: it cannot be written.
+    OSError: it cannot be written.
     """
     new = path.with_suffix(".new")
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)

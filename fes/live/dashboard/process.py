@@ -53,8 +53,7 @@ def about_session(session: Session, mode: str, calibrated: Iterable[str] = ()) -
 def press_stop(port: int) -> None:
     """Ask the dashboard on this port for an emergency stop; returns when its process has handed that on.
 
-    Raises:
-        OSError: nobody serves there, or it refuses.
+    OSError: nobody serves there, or it refuses.
     """
     connection = http.client.HTTPConnection(LOOPBACK, port, timeout=ANSWER_WAIT_S)
     try:
@@ -73,8 +72,7 @@ class DashboardProcess:
 
     For ``about`` see :func:`about_session`; port 0 takes a free one.
 
-    Raises:
-        OSError: the port is taken, or the folder cannot be written.
+    OSError: the port is taken, or the folder cannot be written.
     """
 
     def __init__(self, folder: Path, about: dict[str, Any], port: int = 0) -> None:

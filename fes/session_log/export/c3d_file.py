@@ -35,9 +35,8 @@ FootEvent = tuple[float, str, str]  # s, foot, what
 def to_c3d(log: Path, target: Path) -> Exported:
     """Write the C3D file ``target``.
 
-    Raises:
-        SessionLogError: ``target`` exists or cannot be written, the log cannot be read, holds no samples or is too long
-            for the format, or the library is not there.
+    SessionLogError: ``target`` exists or cannot be written, the log cannot be read, holds no samples or is too long for
+    the format, or the library is not there.
     """
     try:
         import ezc3d

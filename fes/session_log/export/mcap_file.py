@@ -22,8 +22,7 @@ _JSON_TYPES: Final = {"int": ["integer", "null"], "float": ["number", "null"], "
 def to_mcap(log: Path, target: Path) -> Exported:
     """Write the MCAP file ``target``.
 
-    Raises:
-        SessionLogError: ``target`` exists or cannot be written, the log cannot be read, or the library is not there.
+    SessionLogError: ``target`` exists or cannot be written, the log cannot be read, or the library is not there.
     """
     try:
         from mcap.writer import Writer

@@ -131,8 +131,7 @@ def batches(path: Path, exported: Exported, rows: int = BATCH_ROWS) -> Iterator[
     Damaged places are left out and noted in ``exported``, which is complete when the iteration ends. Its header and
     ``begin_ns`` are there before the first batch.
 
-    Raises:
-        SessionLogError: the file cannot be read or is no session log.
+    SessionLogError: the file cannot be read or is no session log.
     """
     filling: dict[str, Batch] = {}
     runs: list[memoryview] = []
@@ -215,8 +214,7 @@ def to_csv(log: Path, folder: Path) -> Exported:
 
     What is not known is an empty cell, yes and no are true and false.
 
-    Raises:
-        SessionLogError: ``folder`` exists, cannot be written, or the log cannot be read.
+    SessionLogError: ``folder`` exists, cannot be written, or the log cannot be read.
     """
 
     def begin(table: Table, exported: Exported, files: ExitStack) -> Callable[[Batch], object]:
@@ -236,8 +234,7 @@ def to_csv(log: Path, folder: Path) -> Exported:
 def to_parquet(log: Path, folder: Path) -> Exported:
     """Write ``folder/TABLE.parquet`` for every table that has rows; each field's metadata says its unit.
 
-    Raises:
-        SessionLogError: ``folder`` exists, cannot be written, or the log cannot be read.
+    SessionLogError: ``folder`` exists, cannot be written, or the log cannot be read.
     """
     import pyarrow as pa
     from pyarrow import parquet
