@@ -218,7 +218,7 @@ def spawn_node(
 ) -> NodeHandle:
     """Start ``python -m drivers.simulated.stimulator.can_node`` and wait until it is ready.
 
-    ``clock`` is "real", or "bus" for :mod:`drivers.simulated.stimulator.lockstep`. Without ``bus`` it gets one of its
+    ``clock`` is "real", or "bus" for :mod:`drivers.simulated.stimulator.in_process`. Without ``bus`` it gets one of its
     own that stays on this machine (:func:`free_bus`). ``faults`` as in
     :func:`drivers.simulated.stimulator.firmware.parse_faults`.
 

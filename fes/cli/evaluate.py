@@ -102,7 +102,7 @@ def command(
 
 def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
     """The evaluation of orientations, which need no walk; None where the references are others."""
-    from fes.evaluation.reference.orientation import evaluate_orientation, only_orientations, read_orientation
+    from fes.evaluation.reference.evaluation import evaluate_orientation, only_orientations, read_orientation
     from fes.evaluation.reference.table import ReferenceError
     from fes.recording import RecordingError, read_recording
 

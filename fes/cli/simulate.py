@@ -34,7 +34,7 @@ from fes.cli.common import (
     out_option,
     replay_progress,
 )
-from fes.cli.loop_view import stride_line
+from fes.cli.demo import stride_line
 from fes.cli.main import WANTS_LINUX
 from fes.cli.show import show_latched
 from fes.estimation.foot.calibration import CalibrationError

@@ -10,7 +10,7 @@ from typing import Final
 
 from fes.config import PHASE_ORDER, Channel, Session
 from fes.control.runner import Runner
-from fes.evaluation.log_replay import ReplayOutput
+from fes.evaluation.log_comparison import ReplayOutput
 from fes.live.status import with_remedy
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
 from fes.stimulation.envelope import difference

@@ -12,10 +12,8 @@ from markupsafe import Markup
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.parameters.gait import GaitParameters
 from fes.report.figures import strides
-from fes.report.figures.space import ground_figures, space_figure
-from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
-from fes.report.figures.strides import swing_figures
-from fes.report.figures.timeseries import chart_data
+from fes.report.figures.strides import ground_figures, space_figure, swing_figures
+from fes.report.figures.timeseries import channel_color, chart_data, latency_figure, stimulation_figures, tuning_figures
 from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file

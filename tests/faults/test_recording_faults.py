@@ -16,7 +16,7 @@ from fes.cli.common import Problem
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.control.runner import Runner, armed_after, with_ticks
-from fes.evaluation.log_replay import ReplayOutput
+from fes.evaluation.log_comparison import ReplayOutput
 from fes.gate import SafetyGate
 from fes.recording import Recording, RecordingError, Track, read_recording, write_recording
 from fes.recording.tracks import samples_of

@@ -20,8 +20,7 @@ from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
 from fes.cli.main import main
 from fes.recording import read_recording
-from fes.report.figures.space import projected, space_figure
-from fes.report.figures.strides import butterfly_figures
+from fes.report.figures.strides import butterfly_figures, projected, space_figure
 from fes.report.figures.timeseries import chart_data
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.hemiparetic import hemiparetic_section

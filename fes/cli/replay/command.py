@@ -48,7 +48,7 @@ from fes.control.runner import CLOSING_S, Log, Runner, armed_after, paced, with_
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.evaluation.log_replay import ReplayOutput
+from fes.evaluation.log_comparison import ReplayOutput
 from fes.gate import SafetyGate
 from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.live.inputs import Terminal, standard_keys

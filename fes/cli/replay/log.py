@@ -20,7 +20,7 @@ from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import refuse_long_silence, session_for, settings_of
 from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
-from fes.evaluation.log_replay import ReplayOutput, first_difference
+from fes.evaluation.log_comparison import ReplayOutput, first_difference
 from fes.gate import SafetyGate, gate_of
 from fes.live.supervision import OWN, UNSENT
 from fes.recording import Recording, read_recording

@@ -28,7 +28,7 @@ from fes.control.controller import Controller
 from fes.control.replay import log_header
 from fes.control.runner import Runner, armed_after, with_ticks
 from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
-from fes.evaluation.log_replay import ReplayOutput
+from fes.evaluation.log_comparison import ReplayOutput
 from fes.evaluation.timing.marks import (
     Mark,
     Spread,
