@@ -15,7 +15,7 @@ from fes.cli.common import INTERRUPTED, Broken, Problem
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
     "run": ("fes.cli.run.command", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
-    "exercise": ("fes.cli.run.exercise", "Bursts by the clock, lying or sitting. STIMULATES once armed by hand."),
+    "exercise": ("fes.cli.run.command", "Bursts by the clock, lying or sitting. STIMULATES once armed by hand."),
     "devices": ("fes.cli.devices", "What is connected: serial ports, CAN interfaces, LSL streams."),
     "doctor": (
         "fes.cli.doctor",
@@ -49,7 +49,10 @@ COMMANDS: Final = {
     "recover": ("fes.cli.logs", "Repair a torn session log and say what was lost."),
     "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),
     "cohort": ("fes.cli.cohort", "Analyse thousands of recordings with many processes; one data set, pages."),
-    "sweep": ("fes.cli.sweep", "Many settings tried on recordings or virtual patients; the best, and their trade-off."),
+    "sweep": (
+        "fes.cli.cohort",
+        "Many settings tried on recordings or virtual patients; the best, and their trade-off.",
+    ),
     "compile": ("fes.cli.compile_", "Compile for this processor, ahead of the first command; installing does it."),
     "trials": (
         "fes.cli.import_",

@@ -352,7 +352,7 @@ def test_a_session_of_fes_run_reaches_no_fault_by_whatever_it_imports_or_names()
                 naming.add(name)
             elif isinstance(node, ast.Call) and any(keyword.arg == "obj" for keyword in node.keywords):
                 handing.add(name)
-    for start in ("fes.cli.run.command", "fes.cli.run.exercise", "fes.cli.run.supervisor", "drivers.imu.open"):
+    for start in ("fes.cli.run.command", "fes.cli.run.supervisor", "drivers.imu.open"):
         assert not reached(start, imported) & {WRAPPER, "fes.hil.sensor_faults"}, start
     assert WRAPPER in reached("fes.hil.sensor_faults", imported)
     assert naming == {"fes.hil.controller"}, "the one program that is started with faults"
