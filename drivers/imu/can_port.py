@@ -10,8 +10,6 @@ Options of ``dbc_can``: ``dbc`` (file), ``acc_x`` … ``acc_z``, ``gyr_x`` … `
 ``time`` or ``counter`` is needed. Both kinds: ``id_offset`` is added to every identifier of the DBC.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from importlib import resources

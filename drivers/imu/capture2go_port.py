@@ -14,8 +14,6 @@ cable, ``find_s`` (10): how long it is looked for, ``packed`` (false): eight sam
 radio; at 100 Hz the oldest is 70 ms old by then.
 """
 
-from __future__ import annotations
-
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping

@@ -18,8 +18,6 @@ Not said: how it can be asked for its time; whether it keeps what it cannot send
 which status goes with this payload (clipping is not told in it).
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import time

@@ -16,8 +16,6 @@ Not said: whether the time (in whole ms) is that of the measurement or of the se
 new. The older six-axis models (JY61, WT61) have other commands and no time; the scale of a WT9011G4K is another.
 """
 
-from __future__ import annotations
-
 import calendar
 import math
 import struct

@@ -9,8 +9,6 @@ last hexadecimal digit tells the number format (low two bits: 0 float32, 1 Fp12.
 3 float64).
 """
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Callable

@@ -11,8 +11,6 @@ and ``DB`` as ``DB DD``. There is no checksum: a garbled message of the right le
 checked against the range.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import math

@@ -12,8 +12,6 @@ a line with the time at which it had taken effect, or answered with what is wron
 end the process. The other end of the conversation is :mod:`drivers.simulated.spawn`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import heapq

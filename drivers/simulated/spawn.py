@@ -5,8 +5,6 @@ A simulated device's process, seen from whoever started it: started, given fault
 The other end of the conversation is :mod:`drivers.simulated.lines`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

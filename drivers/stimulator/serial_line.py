@@ -10,8 +10,6 @@ A socket's usual room on Linux is 212,992 bytes, of which each datagram takes 83
 multicast. Two sensors send 1600 frames a second, so a program held up for 0.16 s loses samples.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import socket

@@ -1,7 +1,5 @@
 """Exit codes, errors that end a command with a message instead of a traceback, a new folder for results."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

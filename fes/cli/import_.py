@@ -1,7 +1,5 @@
 """``fes import``: public data sets, as downloaded, into recordings and references. ``fes trials``: the bundled ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

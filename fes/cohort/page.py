@@ -1,7 +1,5 @@
 """Pages of a cohort: distributions, outliers, what could not be used, and one page a subject."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import defaultdict

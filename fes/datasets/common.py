@@ -1,7 +1,5 @@
 """What every import makes: a recording, its references as tables, and words about where it comes from."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import struct

@@ -28,8 +28,6 @@ Stamps are irregular and partly doubled, with the same sample in both rows: doub
 The walk ends where it starts; there is no other truth.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Two session logs side by side: settings, strides matched by time, stimulation, bytes. Pure; B − A throughout."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields

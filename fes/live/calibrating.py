@@ -1,7 +1,5 @@
 """Calibration as a session's first part: stand still, walk some strides; the samples go on being read meanwhile."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque

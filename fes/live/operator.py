@@ -10,8 +10,6 @@ all its data late by the same time looks prompt; so does one that came back froz
 tell: they tap the sensor and press the key in the same moment, and both are stamped by the host's clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -6,8 +6,6 @@ Figures from runs on a shared two-core machine (500 Hz loop, three busy processe
 5,429 of 10,000 ticks, one under SCHED_FIFO 19; a full garbage collection over 200,000 objects took 45 ms.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -10,8 +10,6 @@ Figures of a device against what its settings, its maker and this project ask fo
 Judged anew whenever it is shown, so that old evidence is held against the limits of today.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import json

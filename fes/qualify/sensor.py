@@ -6,8 +6,6 @@ in the samples, the key in the computer's time. A keyboard is 5 to 30 ms late it
 that the delay can be.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import time

@@ -6,8 +6,6 @@ Stimulation and gate are not asked, so an hour takes seconds. Kept are the sampl
 them an even grid that gets coarser the longer the session is, so that a report's size is bounded.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ comfortable walking over ground. They depend on age, sex and height, which a ses
 the belt sets the speed: they are there to see how far away a number is, and judge nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

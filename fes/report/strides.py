@@ -1,7 +1,5 @@
 """One row per stride: lengths, phases passed and the stimulation that went with it."""
 
-from __future__ import annotations
-
 import math
 import re
 from bisect import bisect_right

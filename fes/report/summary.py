@@ -3,8 +3,6 @@
 Means and spreads over the strides of a foot and the bursts of a channel.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

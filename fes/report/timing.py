@@ -1,7 +1,5 @@
 """Timing as pages: a recording's events over its signals, delays as histograms, worst cases; and many in a list."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

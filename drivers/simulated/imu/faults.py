@@ -16,8 +16,6 @@ that its stamps run fast from now on), ``jump`` (its stamps, by so many seconds,
 s, then stamps from 0) and ``unplug`` (1: its line is gone, with every sensor on it; 0: it can be opened again).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

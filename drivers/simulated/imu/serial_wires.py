@@ -16,8 +16,6 @@ sender of the same ``air``. Its own faults: ``deaf`` (1: hears no sender, and it
 many of the next samples have the flag that their processing failed).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import operator

@@ -11,8 +11,6 @@ leases and heartbeats fall due up to that time exactly as it would have in real 
 frame, and is never driven in this way.
 """
 
-from __future__ import annotations
-
 import select
 import struct
 import time

@@ -12,8 +12,6 @@ with the public implementations. The device makes its pulses biphasic and balanc
 widths whole µs; what lies between is rounded down, never up.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """``fes replay``: a recording, or a session log, through the same loop as a live session."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Mapping

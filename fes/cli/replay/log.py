@@ -1,7 +1,5 @@
 """Replaying a session log: the same events through the same loop must give what was recorded, bytes first."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

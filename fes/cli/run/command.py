@@ -3,8 +3,6 @@
 The first part of a live session that was given no calibration: stand still, walk some strides.
 """
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The rows of a sweep: one a combination and case, and what all cases together say of each combination."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

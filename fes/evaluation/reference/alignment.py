@@ -16,8 +16,6 @@ only believed where the signals are alike, the next best lag is clearly worse, a
 same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final

@@ -13,8 +13,6 @@ nothing to do with heading; it goes into words. Bland–Altman and the like need
 the sensor's x and z axes to the vertical.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

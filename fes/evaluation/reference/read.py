@@ -17,8 +17,6 @@ A mat's stride length is the distance between successive contacts of the same fo
 heel); that of a walk with turns is measured along straight lines as well.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from itertools import pairwise

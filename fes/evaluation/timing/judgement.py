@@ -11,8 +11,6 @@ What a check compares with: of each recording its own events, to be paired one b
 truth; over all recordings how far one may be from the others.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence

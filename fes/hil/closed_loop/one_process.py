@@ -1,7 +1,5 @@
 """A closed-loop run in one process, on the patient's own time: no clock, no waiting, the same bytes every time."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace

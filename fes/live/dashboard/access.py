@@ -6,8 +6,6 @@ A name that an attacker points at 127.0.0.1 comes with that name as Host; anothe
 Origin, and so does one on another port of this machine. Neither gets further than here. Nothing rests on cookies.
 """
 
-from __future__ import annotations
-
 import hmac
 import os
 from collections import deque

@@ -1,7 +1,5 @@
 """The dashboard's web server: files held in memory, one web socket a browser, and a stop that needs one request."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time

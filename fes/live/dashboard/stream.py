@@ -6,8 +6,6 @@ To the dashboard: who is there (HELLO, once), the status that the terminal view 
 what has happened since (DETAIL, with each status), and that it is over (END). To the session: commands, as JSON.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 from collections import deque

@@ -5,8 +5,6 @@ Figures of a comparison: the foot's height and pitch of all sessions over each o
 Sessions differ by colour and by dash, so that neither colour vision nor colour printing is needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape

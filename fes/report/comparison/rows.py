@@ -4,8 +4,6 @@ How much a parameter must change before day-to-day error cannot explain it stand
 print, with its people and its setting.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ frame: x to the right, y along the walk, z up. It is drawn here as it stands at 
 the report's script turns the same lines.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

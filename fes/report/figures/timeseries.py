@@ -1,7 +1,5 @@
 """Signals for the zoomable plots: even grids, least and greatest value per bin, packed into 16-bit numbers."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
