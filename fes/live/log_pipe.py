@@ -4,11 +4,11 @@ import errno
 import os
 import socket
 import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from fes.live.processes import start_helper
 from fes.session_log import SessionLogError
 from fes.session_log.writer import RecordBuffer, create
 
@@ -41,13 +41,8 @@ class PipedLog(RecordBuffer):
         file = create(self.path)
         self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            command = [sys.executable, "-m", "fes.live.log_process", str(theirs.fileno()), str(file)]
-            command.append(str(self.path.absolute()))
-            self.process = subprocess.Popen(
-                command, pass_fds=(theirs.fileno(), file), stdin=subprocess.DEVNULL, start_new_session=True
-            )
+            self.process = start_helper("fes.live.log_process", theirs, file, self.path.absolute(), also=(file,))
         finally:
-            theirs.close()
             os.close(file)
         self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
         self._link.setblocking(False)

@@ -9,14 +9,12 @@ import json
 import os
 import socket
 import struct
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final, NamedTuple, Self
 
 from fes.config import ConfigError, Session
-from fes.live.processes import end_helper
+from fes.live.processes import end_helper, start_helper
 from fes.live.supervision import MOST_BYTES, Datagram, LineOpened, What, datagram, packed, unpacked
 from fes.session_log import Received
 from fes.signals import Event, StimAlive, StimCommand, StimStatus, SystemFault, Vector3, WireFrame
@@ -179,17 +177,8 @@ class SupervisorProcess:
     """The supervisor's process while entered. It takes a second to start, so begin early; then :meth:`line_of`."""
 
     def __init__(self) -> None:
-        link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        try:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", MODULE, str(theirs.fileno()), str(os.getpid())],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-        finally:
-            theirs.close()
-        self._link = link
+        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.process = start_helper(MODULE, theirs, os.getpid())
         self._begun = False
 
     def line_of(

@@ -11,14 +11,8 @@ import pytest
 
 from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.spawn import free_bus, spawn_node, why_silent
-from drivers.simulated.stimulator import in_process
-from drivers.simulated.stimulator.in_process import (
-    FALL_BACK_NS,
-    BusClock,
-    LockstepStimulator,
-    RealClock,
-    encode_sim_time,
-)
+from drivers.simulated.stimulator import lockstep
+from drivers.simulated.stimulator.lockstep import FALL_BACK_NS, BusClock, LockstepStimulator, RealClock, encode_sim_time
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import NODE_IDS, logged_commands
 from drivers.stimulator.port import StimulatorLost
@@ -43,7 +37,7 @@ class Real:
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> Real:
     clock = Real()
-    monkeypatch.setattr(in_process, "time", clock)
+    monkeypatch.setattr(lockstep, "time", clock)
     return clock
 
 
@@ -203,7 +197,7 @@ def test_a_node_told_no_more_falls_silent_by_itself(tmp_path: Path) -> None:
 
 @needs_bus
 def test_a_node_that_is_gone_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(in_process, "ANSWER_WITHIN_NS", 100 * MS)
+    monkeypatch.setattr(lockstep, "ANSWER_WITHIN_NS", 100 * MS)
     with spawn_node(clock="bus") as node:
         port = LockstepStimulator(open_bus(node.bus, NODE_IDS), 9)
         port.open(0, timeout_s=10.0)

@@ -27,7 +27,7 @@ from drivers.simulated.lines import PtyEnd
 from drivers.simulated.record import RecordEntry, RecordReader, RecordWriter
 from drivers.simulated.stimulator.can_node import NodeLoop
 from drivers.simulated.stimulator.firmware import StimulatorNode
-from drivers.simulated.stimulator.in_process import RealClock
+from drivers.simulated.stimulator.lockstep import RealClock
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import COMMAND_ID, FrameRejected, decode, encode_command
 from drivers.stimulator.can_port import CanStimulator

@@ -31,8 +31,9 @@ from fes.live.commands import (
 )
 from fes.live.commands import CommandKind as Kind
 from fes.live.dashboard.access import Access
+from fes.live.dashboard.frames import DETAIL, LARGEST, read_detail
 from fes.live.dashboard.server import MessageHandler
-from fes.live.dashboard.stream import DETAIL, LARGEST, DashboardCommands, DashboardStream, read_detail
+from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.status import Status
 from fes.report.page import render_report
 from fes.report.summary import summarise

@@ -19,25 +19,21 @@ from hypothesis import strategies as st
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand, State
 from fes.live.dashboard.access import Access, Confirmations, Role, Situation
-from fes.live.dashboard.replay import ReplayLog
-from fes.live.dashboard.server import COMMANDS_A_SECOND, MessageHandler, Outcome
-from fes.live.dashboard.stream import (
-    AT_ONCE,
+from fes.live.dashboard.frames import (
     DETAIL,
     LARGEST,
-    LEVELS_KEPT,
     NAMES,
     STATUS,
     STRIDES,
-    STRIDES_KEPT,
-    DashboardCommands,
-    DashboardStream,
     StateBuffer,
     detail,
     hello,
     read_detail,
     read_hello,
 )
+from fes.live.dashboard.replay import ReplayLog
+from fes.live.dashboard.server import COMMANDS_A_SECOND, MessageHandler, Outcome
+from fes.live.dashboard.stream import AT_ONCE, LEVELS_KEPT, STRIDES_KEPT, DashboardCommands, DashboardStream
 from fes.live.dashboard.stream import RESUME_MESSAGE as RESUME
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note

@@ -21,9 +21,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from fes.live.dashboard.access import Access
+from fes.live.dashboard.frames import StateBuffer
 from fes.live.dashboard.process import DashboardProcess, press_stop
 from fes.live.dashboard.server import BROWSERS, REQUEST_S, SLOW_S, STRANGERS, Server, assets
-from fes.live.dashboard.stream import DashboardStream, StateBuffer
+from fes.live.dashboard.stream import DashboardStream
 from fes.live.status import Status
 
 ABOUT = {"mode": "live", "name": "test", "most_intensity": 0.6, "intensity_step": 0.05, "channels": [], "feet": []}

@@ -24,7 +24,7 @@ from drivers.simulated.imu.wire import CAN_RECORD
 from drivers.simulated.lines import LINE_FAULTS, STDIN, CommandReader, LineFaults
 from drivers.simulated.record import PulseOutlet, RecordWriter
 from drivers.simulated.stimulator.firmware import StimulatorNode, parse_faults
-from drivers.simulated.stimulator.in_process import SIM_TIME_ID, BusClock, RealClock
+from drivers.simulated.stimulator.lockstep import SIM_TIME_ID, BusClock, RealClock
 from drivers.stimulator.bus import MULTICAST, BusError, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS, Frame
 from fes.config import Bus

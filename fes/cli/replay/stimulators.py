@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from drivers.simulated.spawn import spawn_node
-from drivers.simulated.stimulator.in_process import LockstepStimulator
+from drivers.simulated.stimulator.lockstep import LockstepStimulator
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, logged_commands
 from drivers.stimulator.can_port import ByteSink, CanStimulator

@@ -15,8 +15,8 @@ from typing import Any, Final
 import uvicorn
 
 from fes.live.dashboard.access import Access, link_address, write_link
+from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
 from fes.live.dashboard.server import CONNECTIONS, Connection, Server
-from fes.live.dashboard.stream import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
 from fes.live.status import Status
 
 STOP: Final = b'{"ask":"stop"}'
@@ -122,7 +122,7 @@ def main() -> int:
     os.umask(0o077)
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    listening, link = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
+    link, listening = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
     with link, listening:
         asyncio.run(SessionLink(listening, link).run())
     return 0

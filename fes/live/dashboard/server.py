@@ -20,7 +20,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from fes.config import STEEPEST_PERCENT
 from fes.live.commands import NEEDS_CONFIRMATION, CommandKind, CommandRefused, mark_text
 from fes.live.dashboard.access import Access, Confirmations, NetworkGuard, Role, Situation
-from fes.live.dashboard.stream import StateBuffer
+from fes.live.dashboard.frames import StateBuffer
 from fes.live.status import Status
 
 # --- One browser's messages: what each means, what is answered, what goes on to the session. No clock, no I/O ---
