@@ -10,9 +10,9 @@ from typing import Final, NamedTuple, Protocol
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_port import CanStimulator, Handshake
 from drivers.stimulator.canopen_port import CanOpenSettings, CanOpenStimulator
+from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator, not_accepted
 from drivers.stimulator.port import SessionUsed
-from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator, not_accepted
-from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
+from drivers.stimulator.rehastim2_port import RehaStim2
 from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
 from fes.extensions import ExtensionError, load_extension

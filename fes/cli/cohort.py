@@ -79,8 +79,7 @@ def cohort_command(
     """
     need_extra("cohort")
     from fes.cohort.engine import analyse_all, cluster
-    from fes.cohort.sources import find_sources, program
-    from fes.cohort.store import RECORDINGS, Store
+    from fes.cohort.store import RECORDINGS, Store, find_sources, program
     from fes.cohort.task import Settings, drop_replaced
 
     try:
@@ -148,7 +147,7 @@ class Run:
 @contextmanager
 def resumable(place: str) -> Iterator[Run]:
     """End the command with what keeps many tasks from being done, their results in ``place``, and on Ctrl-C."""
-    from fes.cohort.sources import CohortError
+    from fes.cohort.store import CohortError
     from fes.config import ConfigError
 
     run = Run()
@@ -265,7 +264,7 @@ def sweep_command(
     from pyarrow import parquet
 
     from fes.cohort.engine import cluster, run_tasks
-    from fes.cohort.sources import find_sources
+    from fes.cohort.store import find_sources
     from fes.cohort.sweep.grid import combinations_of, parse_axis
     from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store
     from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient, sweep_tasks

@@ -133,9 +133,7 @@ def convert_command(
 
     Exit code: 0 converted, 2 unusable input.
     """
-    from fes.session_log.export.c3d_file import to_c3d
-    from fes.session_log.export.mcap_file import to_mcap
-    from fes.session_log.export.tables import to_csv, to_parquet
+    from fes.session_log.export import to_c3d, to_csv, to_mcap, to_parquet
 
     chosen = form or (out.suffix[1:] if out is not None and out.suffix[1:] in FORMATS else "csv")
     target = out or log.with_name(f"{log.stem}.{chosen}" if chosen in ONE_FILE else f"{log.stem}-{chosen}")

@@ -18,8 +18,7 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from fes.cohort.sources import CohortError, Source, program
-from fes.cohort.store import Store
+from fes.cohort.store import CohortError, Source, Store, program
 from fes.cohort.task import Outcome, Settings, analyse_one, keep_failure, reason_of
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from fes import __version__
-from fes.cohort.sources import CohortError, Source, local_copy
-from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
+from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, CohortError, Source, Store, local_copy
 from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:

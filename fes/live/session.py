@@ -25,7 +25,7 @@ from fes.live.sensors import Input, SensorStream
 from fes.live.sides import SideCheck
 from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
-from fes.live.supervised_line import POLL_NS
+from fes.live.supervision import POLL_NS
 from fes.session_log import Note, Received, SessionLogError
 from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
 

@@ -18,7 +18,7 @@ from pyarrow import parquet
 
 from fes.cli import main
 from fes.cohort.engine import Task, cluster, run_tasks
-from fes.cohort.sources import CohortError, find_sources
+from fes.cohort.store import CohortError, find_sources
 from fes.cohort.sweep.grid import (
     Factor,
     Point,

@@ -23,10 +23,10 @@ from drivers.imu import capture2go_codec as c2g
 from drivers.imu import witmotion, xbus, ximu3
 from drivers.imu.can_port import DbcSensor
 from drivers.stimulator import can_codec, canopen_port
+from drivers.stimulator import p24_port as sm4
+from drivers.stimulator import rehastim2_port as sm2
 from drivers.stimulator.can_codec import Alive, Charge, Command, Result, SessionOpen, Status
-from drivers.stimulator.sciencemode import p24_port as sm4
-from drivers.stimulator.sciencemode import rehastim2_port as sm2
-from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode import Packet
 from fes.config import ImuDevice
 from fes.recording import RecordingError, read_recording, write_recording
 from fes.session_log import SessionLogError, SessionWriter, read_session

@@ -39,7 +39,7 @@ from fes.report.page import render_report
 from fes.report.summary import summarise
 from fes.session_log import Note, SessionWriter, read_session
 from fes.session_log.codec import encode
-from fes.session_log.export.tables import to_csv
+from fes.session_log.export import to_csv
 from fes.session_log.framing import MAGIC, LogScan, framed
 from fes.signals import NS_PER_S, StrideResult
 from fes.walk_record import MARK

@@ -27,7 +27,7 @@ from drivers.simulated.lines import (
 )
 from drivers.simulated.record import PulseOutlet, RecordEntry, RecordWriter
 from drivers.simulated.stimulator.firmware import NEVER, parse_fault_values
-from drivers.stimulator.sciencemode.framing import FrameDecoder, Packet
+from drivers.stimulator.sciencemode import FrameDecoder, Packet
 from fes.signals import NS_PER_S
 
 CHANNELS: Final = 8

@@ -51,7 +51,7 @@ from fes.gate import SafetyGate
 from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.live.inputs import Terminal, standard_keys
 from fes.live.sensors import SensorStream
-from fes.live.supervised_line import SupervisorProcess
+from fes.live.supervision import SupervisorProcess
 from fes.recording import Recording, RecordingError
 from fes.recording.tracks import samples_of
 from fes.session_log import Note, SessionLogError, SessionWriter, iter_events, read_session

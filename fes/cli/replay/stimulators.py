@@ -19,13 +19,12 @@ from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, logged_comman
 from drivers.stimulator.can_port import ByteSink, CanStimulator
 from drivers.stimulator.open import SERIAL, open_stimulator
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode.port import ScienceModePort
+from drivers.stimulator.sciencemode import ScienceModePort
 from drivers.stimulator.serial_line import Line
 from fes.config import ImuDevice, Session
 from fes.control.runner import Stimulator
 from fes.evaluation.delivered import Delivered, compare_delivered
-from fes.live.supervised_line import is_due
-from fes.live.supervision import UNSENT
+from fes.live.supervision import UNSENT, is_due
 from fes.recording import Recording
 from fes.session_log import Received
 from fes.signals import G_MPS2, Event, RawSample, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame

@@ -50,7 +50,7 @@ from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.source import LiveSource
 from fes.live.stimulator import LiveStimulator, Opened
-from fes.live.supervised_line import SupervisorProcess
+from fes.live.supervision import SupervisorProcess
 from fes.session_log import Note, SessionLogError
 from fes.session_log.framing import LogScan, RecordType
 from fes.signals import Event

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from fes.cohort.sources import CohortError
+from fes.cohort.store import CohortError
 from fes.config import Session, validate_session
 from fes.config.base import Settings
 from fes.config.thresholds import changed_thresholds

@@ -18,8 +18,7 @@ import numpy as np
 
 from fes import __version__
 from fes.cohort.engine import Task
-from fes.cohort.sources import CohortError, Source, local_copy, program
-from fes.cohort.store import Store
+from fes.cohort.store import CohortError, Source, Store, local_copy, program
 from fes.cohort.sweep.grid import Factor, Point, Value, change_thresholds, session_with, thresholds_of
 from fes.cohort.sweep.table import RESULTS
 from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of

@@ -27,8 +27,7 @@ from enum import IntEnum
 from typing import ClassVar, Final
 
 from drivers.stimulator.port import Awaited, Pulse, PulseTrain, WordedEnum
-from drivers.stimulator.sciencemode.framing import FrameDecoder, FrameRejected, Packet, frame, stuff
-from drivers.stimulator.sciencemode.port import Opening, ScienceModePort
+from drivers.stimulator.sciencemode import FrameDecoder, FrameRejected, Opening, Packet, ScienceModePort, frame, stuff
 from drivers.stimulator.serial_line import Line
 from fes.signals import StimCommand
 

@@ -21,8 +21,7 @@ from typing import ClassVar, Final
 
 from drivers.stimulator.e2e import crc8_table
 from drivers.stimulator.port import Awaited, Pulse, PulseTrain
-from drivers.stimulator.sciencemode.framing import FrameDecoder, FrameRejected, Packet, frame, stuff
-from drivers.stimulator.sciencemode.port import Opening, ScienceModePort
+from drivers.stimulator.sciencemode import FrameDecoder, FrameRejected, Opening, Packet, ScienceModePort, frame, stuff
 from drivers.stimulator.serial_line import Line
 from fes.signals import StimCommand
 
