@@ -211,19 +211,17 @@ def spawn_node(
     boot_id: int | None = None,
     faults: str = "",
     bus: Bus | None = None,
-    clock: str = "real",
     pulses: Path | None = None,
 ) -> NodeHandle:
     """Start ``python -m drivers.simulated.stimulator.can_node`` and wait until it is ready.
 
-    ``clock`` is "real", or "bus" for :mod:`drivers.simulated.stimulator.in_process`. Without ``bus`` it gets one of its
-    own that stays on this machine (:func:`free_bus`). ``faults`` as in
+    Without ``bus`` it gets one of its own that stays on this machine (:func:`free_bus`). ``faults`` as in
     :func:`drivers.simulated.stimulator.firmware.parse_faults`.
 
     NodeFailed: it ended, or was not ready in time.
     """
     bus = bus or free_bus()
-    arguments = ["--until-stdin-closes", *_options(clock=clock, faults=faults, boot_id=boot_id, pulses=pulses)]
+    arguments = ["--until-stdin-closes", *_options(faults=faults, boot_id=boot_id, pulses=pulses)]
     arguments += _options(interface=bus.interface, channel=bus.channel, port=bus.options.get("port"))
     module = "drivers.simulated.stimulator.can_node"
     return NodeHandle("the simulated stimulator", module, arguments, bus, record)

@@ -252,7 +252,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_lockstep_replay_is_delivered_as_sent_and_the_same_twice(recording: Path, tmp_path: Path) -> None:
+def test_a_replay_by_recorded_time_is_delivered_as_sent_and_the_same_twice(recording: Path, tmp_path: Path) -> None:
     runs = []
     for _ in range(2):
         done = run_fes("replay", recording, "--session", SETTINGS, "--no-report", "--json", "--out", tmp_path)

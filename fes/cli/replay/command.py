@@ -279,7 +279,7 @@ def replay_recording(path: Path, options: Options) -> Path:
     if options.stimulator == "none" or not session.channels:
         opening = stimulators.no_stimulator(*opened_with)
     else:
-        opening = stimulators.simulated(*opened_with, lockstep=speed != 1.0, record=folder / "stimulator.jsonl")
+        opening = stimulators.simulated(*opened_with, real_time=speed == 1.0, record=folder / "stimulator.jsonl")
     warm_up()
     with failing(StimulatorLost, BusError, SessionLogError, kind=StoppedEarly), opening as opened:
         ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
