@@ -32,7 +32,7 @@ from drivers.stimulator.open import open_session
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Session, validate_session
 from fes.gate import gate_of
-from fes.live.processes import become_real_time
+from fes.live.realtime import become_real_time
 from fes.live.sensors import StimulatorLine
 from fes.live.supervision import SupervisedLine, SupervisorProcess
 from fes.signals import (

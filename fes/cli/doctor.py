@@ -36,7 +36,7 @@ from fes.cli.common import FAILED, PATH, Number, cannot_be_seen, not_there
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, ImuDevice, Session, Switch, load_session, refuse_blind_targets
 from fes.estimation.warm_up import warm_up
-from fes.live.processes import Grant, fixed_priority, locked_memory
+from fes.live.realtime import Grant, fixed_priority, locked_memory
 from fes.live.sensor_monitor import RATE_TOLERANCE, alive_ns
 from fes.session_log import SessionLogError
 from fes.session_log.writer import SessionWriter

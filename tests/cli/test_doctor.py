@@ -29,8 +29,8 @@ from fes.cli.devices import Connected, wanted_by
 from fes.cli.doctor import Finding, Verdict, settings, stop_file_finding
 from fes.cli.main import main
 from fes.config import ImuDevice, Session, load_session
-from fes.live import processes
-from fes.live.processes import Grant
+from fes.live import realtime
+from fes.live.realtime import Grant
 
 RATE_HZ = 100
 
@@ -153,7 +153,7 @@ def test_no_fixed_priority_is_a_warning_with_cost_and_remedy(monkeypatch: pytest
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(processes.os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(realtime.os, "sched_setscheduler", refuse)
     found = only(doctor_host.permissions(), "fixed priority (SCHED_FIFO)")
     assert found.verdict is Verdict.WARNING
     assert "Operation not permitted" in found.said
