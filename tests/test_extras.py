@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from replays import FES
 
 from drivers.simulated.spawn import free_bus, why_silent
-from fes.cli.common.exits import EXTRAS, FAILED, OK, UNUSABLE
+from fes.cli.common import EXTRAS, FAILED, OK, UNUSABLE
 from fes.simulation import bundled_file
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -38,11 +38,10 @@ from benchmarks.lib.command_line import console_of, parser_of, publish, spread, 
 from benchmarks.loop.predicted_onset import Walked, walks
 from benchmarks.safety.coarse_check import LIMITS
 from drivers.imu import capture2go_codec as c2g
-from drivers.imu.capture2go_ble import Capture2GoRadio
+from drivers.imu.capture2go_port import Capture2GoRadio
 from drivers.imu.port import ImuLost
-from drivers.simulated.imu.capture2go import Capture2GoWire
-from drivers.simulated.imu.device import ImuSignal, SimulatedImu, even_signal
-from drivers.simulated.imu.radio import Radio
+from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu, even_signal
+from drivers.simulated.imu.serial_wires import Capture2GoWire
 from fes import limits
 from fes.config import ImuDevice, Session
 from fes.control.clock_sync import SensorClock

@@ -22,7 +22,7 @@ from drivers.simulated.stimulator.in_process import InProcessStimulator
 from fes.config import validate_session
 from fes.estimation.sensor_choice import Calibration
 from fes.hil.closed_loop import one_process
-from fes.hil.closed_loop.demo import CURRENT_MA, patient
+from fes.hil.closed_loop.one_process import CURRENT_MA, patient
 from fes.hil.closed_loop.processes import armed_protocol
 from fes.hil.settings import patient_calibration, patient_session_text
 from fes.session_log import read_session

@@ -42,9 +42,19 @@ from fes.control.replay import session_for
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.tracking.tracker import Outcome, Tracker
 from fes.estimation.warm_up import warm_up
-from fes.evaluation.timing.baseline import LATENCY, Baseline, baseline_text, read_baseline
-from fes.evaluation.timing.judgement import Failure, Limits, RecordingTiming, as_baseline, judge
-from fes.evaluation.timing.replayed import Measured, measure
+from fes.evaluation.timing.judgement import (
+    LATENCY,
+    Baseline,
+    Failure,
+    Limits,
+    Measured,
+    RecordingTiming,
+    as_baseline,
+    baseline_text,
+    judge,
+    measure,
+    read_baseline,
+)
 from fes.evaluation.timing.truth import read_truth, without_cut_ends
 from fes.recording import read_recording
 from fes.signals import Event, ImuSample, Vector3

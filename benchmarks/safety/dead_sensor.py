@@ -21,10 +21,9 @@ from rich.table import Table
 from benchmarks.lib.command_line import console_of, parser_of, publish
 from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
-from drivers.stimulator.sciencemode import sciencemode4_codec as codec
-from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.p24_port import WATCHDOG_S, LowLevelStimulator, MidLevelStimulator
-from drivers.stimulator.sciencemode.sciencemode4_codec import Code, Train
+from drivers.stimulator import p24_port as codec
+from drivers.stimulator.p24_port import WATCHDOG_S, Code, LowLevelStimulator, MidLevelStimulator, Train
+from drivers.stimulator.sciencemode import Packet
 from fes.config import Channel
 from fes.gate import SafetyGate
 from fes.signals import G_MPS2, NS_PER_S, ImuSample, OperatorAct, OperatorAction, StimRequest, Tick

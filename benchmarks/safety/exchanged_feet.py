@@ -22,7 +22,7 @@ from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, runs_of
 from benchmarks.lib.command_line import console_of, parser_of, publish
 from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import tell_sides
-from fes.datasets.packed_walks import read_stroke_walks
+from fes.datasets.walks import read_stroke_walks
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings

@@ -34,7 +34,7 @@ from fes.config import Session, validate_session
 from fes.gate import gate_of
 from fes.live.realtime import become_real_time
 from fes.live.sensors import StimulatorLine
-from fes.live.supervised_line import SupervisedLine, SupervisorProcess
+from fes.live.supervision import SupervisedLine, SupervisorProcess
 from fes.signals import (
     Event,
     ImuSample,

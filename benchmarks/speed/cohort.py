@@ -33,8 +33,7 @@ from pyarrow import parquet
 from benchmarks.speed.speed_row import Row, print_rows
 from fes.cohort.engine import analyse_all, cluster
 from fes.cohort.page import write_pages
-from fes.cohort.sources import Source, find_sources
-from fes.cohort.store import RECORDINGS, Store
+from fes.cohort.store import RECORDINGS, Source, Store, find_sources
 from fes.cohort.task import DONE, Outcome, Settings, analyse_one
 
 TRIAL = Path(__file__).parents[2] / "sim_inputs" / "both_feet_100hz"

@@ -3,7 +3,7 @@
     python benchmarks/speed/speed_live.py
 
 The session is armed as by an operator and stimulates at full intensity, and the garbage collector is off, as it is in a
-live session (``fes/live/realtime.py``). Mean and 99th percentile are by the clock, over the samples of one pass, the
+live session (``fes/live/processes.py``). Mean and 99th percentile are by the clock, over the samples of one pass, the
 only one: what other programs did to it is in them. Beside the mean stands this process's processor time in another pass
 without a clock in between. Not part of a step: the driver's codec, the log, the stimulator's line.
 """

@@ -34,8 +34,7 @@ class BleConnection:
 
     ``notifies``: the characteristic whose notifications are queued; ``services``: what it must advertise.
 
-    Raises:
-        ImuLost: bleak is not installed, or the device is not found or does not answer in time.
+    ImuLost: bleak is not installed, or the device is not found or does not answer in time.
     """
 
     def __init__(self, device: ImuDevice, notifies: str, services: Sequence[str] | None = None) -> None:

@@ -11,12 +11,12 @@ from urllib.parse import urlsplit
 
 import serial
 
-from drivers.imu.port import ImuLost, OneSensorPort
-from drivers.receive_buffer import make_room
-from drivers.stimulator.serial_line import Line, SerialLine
+from drivers.imu.port import ImuLost, OneSensorPort, whole_option
+from drivers.stimulator.serial_line import Line, SerialLine, make_room
 from fes.config import ImuDevice
 
 READ_AT_MOST: Final = 65536
+BAUDRATE: Final = 115200  # where the settings name none
 READS_AT_MOST: Final = 1024  # datagrams, mostly: a flooded line must not hold the control loop
 _HINT: Final = "Check cable, power and that no other program uses it (Linux: group dialout)."
 
@@ -74,10 +74,30 @@ class LineSensorPort(OneSensorPort):
     """Base of a port whose one sensor is behind a :class:`ByteLine`, or behind what another ``opener`` opens."""
 
     _line: Line
+    _configures = False
 
-    def __init__(self, device: ImuDevice, opener: LineOpener = ByteLine) -> None:
+    def __init__(self, device: ImuDevice, opener: LineOpener = ByteLine, sample_bytes: int = 0) -> None:
+        """``sample_bytes``: of a sample on the line. ValueError: the line is too slow for the rate."""
         self._opener = opener
+        self._baudrate = whole_option(device, "baudrate", BAUDRATE, 1)
+        if (needs := device.rate_hz * sample_bytes * 10) > self._baudrate:
+            raise ValueError(
+                f"{device.sensor}: {device.rate_hz:g} Hz need {needs:.0f} baud, options.baudrate is {self._baudrate}; "
+                "set the sensor and this option to a higher one"
+            )
         super().__init__(device)
+
+    def _open_line(self) -> None:
+        self._line = self._opener(self._device.sensor, self._device.port, self._baudrate)
+        try:
+            if self._configures:
+                self._configure()
+        except ImuLost:
+            self._line.close()
+            raise
+
+    def _configure(self) -> None:
+        """Set the sensor up, before its first sample. ImuLost: it does not answer, or refuses."""
 
     def fileno(self) -> int:
         """The line's descriptor."""

@@ -9,7 +9,7 @@ import importlib
 import math
 from typing import Any, Final
 
-from drivers.imu.can_codec import ACC_UNITS, GYR_UNITS
+from drivers.imu.can_port import ACC_UNITS, GYR_UNITS
 from drivers.imu.port import AXES, ImuLost, OneSensorPort, seconds_option, text_option
 from fes.config import ImuDevice
 from fes.signals import NS_PER_S, RawSample

@@ -81,11 +81,11 @@ def _open_on_can(group: list[ImuDevice], settings: Bus) -> ImuPort:
 
 def _open_alone(device: ImuDevice) -> ImuPort:
     if device.device == "xbus":
-        from drivers.imu.xbus_port import XbusImu
+        from drivers.imu.xbus import XbusImu
 
         return XbusImu(device)
     if device.device == "ximu3":
-        from drivers.imu.ximu3_port import Ximu3Imu, Ximu3LibraryImu
+        from drivers.imu.ximu3 import Ximu3Imu, Ximu3LibraryImu
 
         return Ximu3LibraryImu(device) if flag_option(device, "library", False) else Ximu3Imu(device)
     if device.device == "capture2go":
@@ -93,15 +93,15 @@ def _open_alone(device: ImuDevice) -> ImuPort:
 
         return Capture2GoImu(device)
     if device.device == "capture2go_ble":
-        from drivers.imu.capture2go_ble import Capture2GoBle, Capture2GoBridge
+        from drivers.imu.capture2go_port import Capture2GoBle, Capture2GoBridge
 
         return Capture2GoBridge(device) if "/" in device.port else Capture2GoBle(device)
     if device.device == "witmotion":
-        from drivers.imu.witmotion_port import WitmotionImu
+        from drivers.imu.witmotion import WitmotionImu
 
         return WitmotionImu(device)
     if device.device == "movella_dot":
-        from drivers.imu.movella_dot_port import MovellaDotImu
+        from drivers.imu.movella_dot import MovellaDotImu
 
         return MovellaDotImu(device)
     from drivers.imu.lsl_port import LslImu

@@ -22,9 +22,8 @@ from typing import Final
 
 import can
 
-from drivers.simulated import process_end
-from drivers.simulated.lines import PtyEnd
-from drivers.simulated.process_end import STDIN, CommandReader
+from drivers.simulated import lines
+from drivers.simulated.lines import STDIN, CommandReader, PtyEnd
 from drivers.stimulator.bus import BusError, bus_off_frame, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS
 from fes.config import Bus
@@ -184,7 +183,7 @@ class LinkLoop:
         self._cut = False
         self._reorder = 0
         self._held: can.Message | None = None
-        self._commands = CommandReader(process_end.fault_commands(self._inject))
+        self._commands = CommandReader(lines.fault_commands(self._inject))
 
     def turn(self) -> bool:
         """Wait, and pass on what has come; False after a signal or the end of stdin."""
@@ -238,7 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if (options.front is None) == (options.slcan is None):
         parser.error("give either --front or --slcan")
-    stop = process_end.stop_signals()
+    stop = lines.stop_signals()
     front: BusFront | SlcanFront
     try:
         back = open_bus(Bus.model_validate_json(options.back), frozenset(range(0x800)))
@@ -246,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BusError, OSError, ValueError) as error:
         print(f"can_link: {error}", file=sys.stderr)
         return 2
-    process_end.publish_ready(port=front.port, real_time=process_end.become_real_time())
+    lines.publish_ready(port=front.port, real_time=lines.become_real_time())
     try:
         loop = LinkLoop(front, back, stop.fileno())
         while loop.turn():

@@ -4,23 +4,90 @@ The line is a pseudo-terminal of its own, a TCP port, or UDP datagrams. Faults: 
 many of the next messages have a bit flipped, are lost, or change places with the one after. ``delay``: every message
 comes so many seconds late. ``mute``: 1, none comes at all; 0, all again. ``backlog``: 1, none comes but each waits
 in its order, as in the buffer of a sensor whose radio does not get through; 0, all that waited come at once.
+
+A simulated device's process, seen from inside: publishes that it is ready, takes faults on stdin, ends on a signal.
+
+Ready is one JSON line on stdout. Faults are JSON lines ``{"fault": NAME, "value": NUMBER}`` on stdin, each confirmed by
+a line with the time at which it had taken effect, or answered with what is wrong. SIGTERM, SIGINT and the end of stdin
+end the process. The other end of the conversation is :mod:`drivers.simulated.spawn`.
 """
 
 import contextlib
+import gc
 import heapq
 import itertools
+import json
 import os
 import select
+import signal
 import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar, Final, Generic, TypeVar
+from typing import Any, ClassVar, Final, Generic, TypeVar
 
-from drivers.simulated.process_end import STDIN, CommandReader, fault_commands
 from drivers.simulated.stimulator.firmware import NEVER
 from fes.signals import NS_PER_S
+
+STDIN: Final = 0
+
+
+def stop_signals() -> socket.socket:
+    """Readable as soon as SIGTERM or SIGINT has come, so that a wait ends with it. Call once, in the main thread."""
+    signalled, wake = socket.socketpair()
+    wake.setblocking(False)
+    signal.set_wakeup_fd(wake.detach())
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: None)
+    return signalled
+
+
+def become_real_time() -> bool:
+    """Ask for SCHED_FIFO, as a device's timers owe nothing to this computer's load; False where it is not allowed."""
+    gc.freeze()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+def publish_ready(**facts: str | int | bool | dict[str, str]) -> None:
+    """Publish to whoever started this process that the device runs, and how it is reached."""
+    print(json.dumps({"ready": True, "pid": os.getpid(), **facts}), flush=True)
+
+
+def fault_commands(inject: Callable[[str, float], None]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Commands that are faults only: ``inject`` brings one about, or raises ValueError for an unknown one."""
+
+    def execute(command: dict[str, Any]) -> dict[str, Any]:
+        inject(str(command["fault"]), float(command.get("value", 1)))
+        return {"done": command["fault"]}
+
+    return execute
+
+
+@dataclass(eq=False)
+class CommandReader:
+    """Commands as they come on stdin; ``execute`` carries one out and returns the answer, without the time."""
+
+    execute: Callable[[dict[str, Any]], dict[str, Any]]
+    now_ns: Callable[[], int] = time.monotonic_ns
+    _incomplete: bytes = b""
+
+    def read(self) -> bool:
+        """Execute what has come, when stdin is readable; False at its end."""
+        data = os.read(STDIN, 4096)
+        *lines, self._incomplete = (self._incomplete + data).split(b"\n")
+        for line in lines:
+            try:
+                answer = {**self.execute(json.loads(line)), "t_ns": self.now_ns()}
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+                answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
+            print(json.dumps(answer), flush=True)
+        return bool(data)
+
 
 LINE_FAULTS: Final = frozenset(("garble", "drop", "reorder", "delay", "mute", "backlog"))
 LONGEST_WAIT_S: Final = 1.0

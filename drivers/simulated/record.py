@@ -71,8 +71,7 @@ class RecordReader:
     def new_entries(self) -> list[RecordEntry]:
         """The entries since the last call; none as long as there is no file.
 
-        Raises:
-            ValueError: a line is no record entry; names file and line.
+        ValueError: a line is no record entry; names file and line.
         """
         try:
             with self._path.open("rb") as file:

@@ -17,10 +17,9 @@ from typing import Any, Final
 import can
 from can.interfaces.slcan import slcanBus
 
-from drivers.receive_buffer import make_room
 from drivers.stimulator.can_codec import NODE_IDS
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.serial_line import Waiting
+from drivers.stimulator.serial_line import Waiting, make_room
 from fes.config import Bus
 
 MULTICAST: Final = "udp_multicast"
@@ -55,9 +54,8 @@ class PromptSlcanBus(slcanBus):
     last of them to be on the line, and a read takes a system call for each byte and waits a millisecond for one more.
     All of that would be the control loop's time. Lines that are no frames are passed over, whatever they hold.
 
-    Raises:
-        can.CanOperationError: from ``send`` when the adapter does not take a frame whole at once, from ``recv`` when it
-            is gone.
+    can.CanOperationError: from ``send`` when the adapter does not take a frame whole at once, from ``recv`` when it is
+    gone.
     """
 
     def __init__(self, channel: str, timeout: float = 0.0, **options: Any) -> None:
@@ -127,8 +125,7 @@ class LoopbackBus(can.BusABC):
     cannot be opened. This bus joins on the loopback interface instead: nothing leaves the machine, nothing enters. As
     with python-can's multicast, a bus hears its own frames too.
 
-    Raises:
-        OSError: the group is no multicast address, or the port is out of range or not ours to use.
+    OSError: the group is no multicast address, or the port is out of range or not ours to use.
     """
 
     def __init__(self, channel: str = GROUP, port: int = DEFAULT_PORT, **kwargs: Any) -> None:
@@ -153,11 +150,7 @@ class LoopbackBus(can.BusABC):
             raise OSError(errno.EINVAL, f"channel {channel!r}, port {port!r}: {error}") from error
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Put the frame out at once.
-
-        Raises:
-            can.CanOperationError: no classical data frame, or the system's buffer is full.
-        """
+        """Put the frame out at once. can.CanOperationError: no classical data frame, or the system's buffer is full."""
         if msg.is_fd or msg.is_remote_frame or msg.is_error_frame or len(msg.data) > 8:
             raise can.CanOperationError("the loopback bus carries classical data frames only")
         identifier = msg.arbitration_id | (_EXTENDED if msg.is_extended_id else 0)
@@ -201,8 +194,7 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
     Multicast does not leave this machine unless the option ``hop_limit`` says so. Frames that come while this program
     is held up wait for it, as many as the system grants room for.
 
-    Raises:
-        BusError: unknown interface, missing vendor library, no such channel, or an option out of range.
+    BusError: unknown interface, missing vendor library, no such channel, or an option out of range.
     """
     options: dict[str, Any] = dict(settings.options)
     known = can.VALID_INTERFACES | {LOOPBACK}
@@ -234,8 +226,7 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
 def read_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:
     """The next frame; None when there is none within the time.
 
-    Raises:
-        StimulatorLost: the bus cannot be read, or the adapter has left it.
+    StimulatorLost: the bus cannot be read, or the adapter has left it.
     """
     try:
         message = bus.recv(timeout=timeout_s)

@@ -218,8 +218,7 @@ def encode_open(
 ) -> Frame:
     """SESSION_OPEN in answer to the node that announced ``boot_id``.
 
-    Raises:
-        ValueError: a number is out of its field's range; session 0 means "none" and cannot be opened.
+    ValueError: a number is out of its field's range; session 0 means "none" and cannot be opened.
     """
     _whole("session_id", session_id, _MOST["Session"], least=1)
     return encode(SessionOpen(version, boot_id, session_id, validity_ms))
@@ -228,8 +227,7 @@ def encode_open(
 def encode(message: Message) -> Frame:
     """The protected frame of any message; ``Reserved`` is 0. The caller has reduced a charge's totals to their moduli.
 
-    Raises:
-        ValueError: a value is negative, not finite or beyond what its field holds.
+    ValueError: a value is negative, not finite or beyond what its field holds.
     """
     raw = {"Crc": 0, "Reserved": 0}
     for name, signal in _FIELDS[type(message)]:
@@ -246,8 +244,7 @@ def encode(message: Message) -> Frame:
 def decode(identifier: int, data: bytes) -> Message:
     """Any frame of this protocol.
 
-    Raises:
-        FrameRejected: unknown identifier, wrong length, wrong CRC, reserved bits set, or a result unknown here.
+    FrameRejected: unknown identifier, wrong length, wrong CRC, reserved bits set, or a result unknown here.
     """
     kind = _TYPES.get(identifier)
     if kind is None:
@@ -269,8 +266,7 @@ def decode(identifier: int, data: bytes) -> Message:
 def logged_commands(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
     """The commands among logged frames, as they read on the wire, each with the count by which answers name it.
 
-    Raises:
-        FrameRejected: a logged frame is no intact frame of this protocol.
+    FrameRejected: a logged frame is no intact frame of this protocol.
     """
     commands = []
     validity_ms = limits.MAX_VALIDITY_MS

@@ -249,8 +249,7 @@ class CanStimulator:
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All that has arrived from the node, at most 128 frames, stamped ``t_ns``.
 
-        Raises:
-            StimulatorLost: the bus cannot be read, the adapter reports bus-off, or our session is gone.
+        StimulatorLost: the bus cannot be read, the adapter reports bus-off, or our session is gone.
         """
         if self._session_gone and self._in_real_time:
             raise StimulatorLost(f"{self._bus.channel_info}: {_SESSION_GONE}")

@@ -7,22 +7,147 @@ package waits for SDO answers and works in threads, and a control loop does neit
 SYNC makes every channel deliver what it holds. So it only goes out when every channel's *confirmed* values are at most
 what was commanded; values travel one at a time, a step behind. A rise lags by a step; after a fall the next pulse waits
 until the lower value is confirmed. Channels that are on together pulse together, at the lowest of their frequencies.
+
+The few CANopen frames that a stimulator needs, and where the settings say that its values are; no I/O.
+
+Source: CiA 301: expedited SDO download, SYNC, NMT start, heartbeat.
 """
 
+from __future__ import annotations
+
 import math
+import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import can
 
-from drivers.stimulator import canopen_codec as codec
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_port import COUNTERS, POLL_AT_MOST, Handshake
-from drivers.stimulator.canopen_codec import BOOT_UP, OPERATIONAL, CanOpenSettings, Sdo
 from drivers.stimulator.port import ANSWER_WITHIN_NS, PulseTrain, StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
+
+NMT_ID: Final = 0x000
+SYNC_ID: Final = 0x080
+BOOT_UP: Final = 0  # the heartbeat's state in a node's first message after its start
+OPERATIONAL: Final = 5
+_DOWNLOAD: Final = {1: 0x2F, 2: 0x2B, 4: 0x23}  # expedited, size given
+_DOWNLOADED: Final = 0x60
+_ABORTED: Final = 0x80
+_START: Final = 0x01
+
+
+@dataclass(frozen=True, slots=True)
+class Sdo:
+    """A value for one entry of the node's object dictionary."""
+
+    index: int
+    subindex: int
+    value: int
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class CanOpenSettings:
+    """Where things are in this device's object dictionary, and in which steps.
+
+    Channel ``n`` is subindex ``n + 1``. ``value_bytes`` is 1, 2 or 4. ``max_current_ma`` and ``max_width_us`` are the
+    device's own limits.
+    """
+
+    node_id: int
+    current_index: int
+    width_index: int
+    current_step_ma: float
+    width_step_us: float
+    max_current_ma: float
+    max_width_us: float
+    value_bytes: int = 1
+    heartbeat_ms: int = 500
+
+    def __post_init__(self) -> None:
+        entries = (0x2000, 0x9FFF)
+        whole = {"node_id": (1, 127), "current_index": entries, "width_index": entries, "heartbeat_ms": (10, 10_000)}
+        for name, (least, most) in whole.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise ValueError(f"{name} = {value!r} must be a whole number from {least} to {most}")
+        if isinstance(self.value_bytes, (bool, float)) or self.value_bytes not in _DOWNLOAD:
+            raise ValueError(f"value_bytes = {self.value_bytes!r} must be 1, 2 or 4")
+        for name in ("current_step_ma", "width_step_us", "max_current_ma", "max_width_us"):
+            value = getattr(self, name)
+            if isinstance(value, (bool, str)) or not math.isfinite(value) or not value > 0:
+                raise ValueError(f"{name} = {value!r} must be a number above 0")
+        if self.current_index == self.width_index:
+            raise ValueError(f"current_index and width_index are both 0x{self.width_index:04x}")
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> CanOpenSettings:
+        """From a session's options. ValueError: one is missing, unknown or out of range; the message names it."""
+        try:
+            return cls(**options)
+        except TypeError as error:
+            raise ValueError(str(error).replace("CanOpenSettings.__init__() ", "")) from None
+
+    @property
+    def heartbeat_id(self) -> int:
+        """Identifier of the node's heartbeat."""
+        return 0x700 + self.node_id
+
+    @property
+    def answer_id(self) -> int:
+        """Identifier of the node's SDO answers."""
+        return 0x580 + self.node_id
+
+    def steps(self, current_ma: float, pulse_width_us: float) -> list[int]:
+        """Current and width in the device's steps, rounded down.
+
+        ValueError: not finite, negative, or over the device's limits or what its entries hold.
+        """
+        out: list[int] = []
+        current = ("current_ma", current_ma, self.current_step_ma, self.max_current_ma)
+        width = ("pulse_width_us", pulse_width_us, self.width_step_us, self.max_width_us)
+        for name, value, step, most in (current, width):
+            if not math.isfinite(value) or not 0 <= value <= most:
+                raise ValueError(f"{name} = {value!r}; this stimulator takes 0 to {most:g}")
+            steps = math.floor(value / step)
+            if steps >= 1 << 8 * self.value_bytes:
+                raise ValueError(f"{name} = {value!r} does not fit an entry of {self.value_bytes} bytes")
+            out.append(steps)
+        return out
+
+    def sdo(self, what: int, channel: int, value: int) -> Sdo:
+        """The entry for a channel's current (0) or width (1)."""
+        return Sdo((self.current_index, self.width_index)[what], channel + 1, value, self.value_bytes)
+
+    def answers(self, sdo: Sdo, message: can.Message) -> bool:
+        """Whether this is the node's answer to that download, good or bad."""
+        if message.arbitration_id != self.answer_id or len(message.data) != 8:
+            return False
+        command, index, subindex = struct.unpack_from("<BHB", message.data)
+        return command in (_DOWNLOADED, _ABORTED) and (index, subindex) == (sdo.index, sdo.subindex)
+
+    @staticmethod
+    def refusal(message: can.Message) -> str:
+        """Why the node refused; "" when it did not."""
+        if message.data[0] != _ABORTED:
+            return ""
+        _, index, subindex, code = struct.unpack("<BHBI", bytes(message.data))
+        return f"refused object 0x{index:04x}:{subindex} (SDO abort 0x{code:08x})"
+
+
+def encode_download(node_id: int, sdo: Sdo) -> tuple[int, bytes]:
+    """Identifier and data of an expedited download."""
+    value = sdo.value.to_bytes(sdo.size, "little").ljust(4, b"\0")
+    return 0x600 + node_id, struct.pack("<BHB", _DOWNLOAD[sdo.size], sdo.index, sdo.subindex) + value
+
+
+def encode_start(node_id: int) -> tuple[int, bytes]:
+    """Identifier and data of NMT start for this node."""
+    return NMT_ID, bytes((_START, node_id))
+
 
 CURRENT, WIDTH = 0, 1
 HEARTBEATS_MISSED: Final = 3
@@ -78,8 +203,7 @@ class CanOpenStimulator:
     def open(self, t_ns: int, timeout_s: float = 4.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
         """Wait for the heartbeat, start the node, set every current to 0 and have that confirmed.
 
-        Raises:
-            StimulatorLost: no heartbeat, or the node does not start or refuses; the message says what to check.
+        StimulatorLost: no heartbeat, or the node does not start or refuses; the message says what to check.
         """
         deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
         node = self._settings.node_id
@@ -93,7 +217,7 @@ class CanOpenStimulator:
                 continue
             if message.arbitration_id == self._settings.heartbeat_id and message.data:
                 state = message.data[0] & 0x7F
-                frame = codec.encode_start(node) if state != OPERATIONAL else None
+                frame = encode_start(node) if state != OPERATIONAL else None
                 if state == BOOT_UP:
                     todo, asked = zeros, None
             elif asked is not None and self._settings.answers(asked, message):
@@ -107,7 +231,7 @@ class CanOpenStimulator:
                 continue
             if state == OPERATIONAL:  # also asks again at every heartbeat, should the first have been lost
                 asked = todo[0]
-                frame = codec.encode_download(node, asked)
+                frame = encode_download(node, asked)
             if frame is not None:
                 write_frame(self._bus, *frame)
                 frames.append(WireFrame(t_ns, *frame))
@@ -130,18 +254,17 @@ class CanOpenStimulator:
         self._counter = (self._counter + 1) % COUNTERS
         sync = command.channel == self._last and self._sync_is_due(command.t_ns)
         if sync:
-            write_frame(self._bus, codec.SYNC_ID, b"")
+            write_frame(self._bus, SYNC_ID, b"")
         frame = self._next_download(command.t_ns)
         if frame is not None:
             write_frame(self._bus, *frame)
         identifier, data = frame or (0, b"")
-        return WireFrame(command.t_ns, codec.SYNC_ID if sync else identifier, data)
+        return WireFrame(command.t_ns, SYNC_ID if sync else identifier, data)
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All that has arrived, at most 128 frames, and what should have, stamped ``t_ns``.
 
-        Raises:
-            StimulatorLost: the bus cannot be read, or the node has restarted and the last call said so.
+        StimulatorLost: the bus cannot be read, or the node has restarted and the last call said so.
         """
         self._need_session()
         events: list[StimStatus | StimAlive] = []
@@ -215,7 +338,7 @@ class CanOpenStimulator:
         for channel, what in [*too_much, *widths, *too_little]:
             sdo = self._settings.sdo(what, channel, self._channels[channel].wanted[what])
             self._pending = (sdo, channel, what, t_ns)
-            return codec.encode_download(self._settings.node_id, sdo)
+            return encode_download(self._settings.node_id, sdo)
         return None
 
     def _answer(self, t_ns: int, message: can.Message) -> list[StimStatus | StimAlive]:

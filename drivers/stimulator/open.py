@@ -9,11 +9,10 @@ from typing import Final, NamedTuple, Protocol
 
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_port import CanStimulator, Handshake
-from drivers.stimulator.canopen_codec import CanOpenSettings
-from drivers.stimulator.canopen_port import CanOpenStimulator
+from drivers.stimulator.canopen_port import CanOpenSettings, CanOpenStimulator
+from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator, not_accepted
 from drivers.stimulator.port import SessionUsed
-from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator, not_accepted
-from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
+from drivers.stimulator.rehastim2_port import RehaStim2
 from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
 from fes.extensions import ExtensionError, load_extension
@@ -102,7 +101,7 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
 
     Options: ``model`` ("p24" or "rehamove3") and ``baudrate`` for the p24 devices, ``accept_watchdog_s`` for
     ``p24_mid_level``; those of ``canopen`` are the fields of
-    :class:`~drivers.stimulator.canopen_codec.CanOpenSettings`. ``opener`` opens the line of the :data:`SERIAL` ones.
+    :class:`~drivers.stimulator.canopen_port.CanOpenSettings`. ``opener`` opens the line of the :data:`SERIAL` ones.
 
     Raises:
         ConfigError: an option that this device does not have, or a session that it cannot serve.

@@ -18,10 +18,9 @@ from fes.analysis.methods import Methods
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
-from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
-from fes.cli.common.options import PATH, SIDE, Number, choice, out_option, utc_now
-from fes.cli.common.show import TableFile, print_json, screen, write_table
+from fes.cli.common import FAILED, PATH, SIDE, Number, choice, error_text, fail, fresh_folder, out_option, utc_now
 from fes.cli.compile_ import compiled_ahead
+from fes.cli.show import TableFile, print_json, screen, write_table
 from fes.config import Ground
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.zupt.detectors import Detector
@@ -191,8 +190,7 @@ def command(
 def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) -> Recording:
     """The recording with the right foot set to the left one's clock; says what was done and how sure it is.
 
-    Raises:
-        CalibrationError: it cannot be told.
+    CalibrationError: it cannot be told.
     """
     from fes.analysis.hemiparetic.sync import synchronised
 

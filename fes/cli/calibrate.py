@@ -6,9 +6,8 @@ from pathlib import Path
 import click
 
 from fes.calibration.recording import SensorCalibrations, calibrate_all, save
-from fes.cli.common.exits import failing, writing
-from fes.cli.common.options import PATH
-from fes.cli.common.show import print_json
+from fes.cli.common import PATH, failing, writing
+from fes.cli.show import print_json
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, failing
-from fes.cli.common.options import PATH, SIDE
-from fes.cli.common.show import narrow_table, print_json, screen
+from fes.cli.common import FAILED, PATH, SIDE, Problem, failing
+from fes.cli.show import narrow_table, print_json, screen
 from fes.session_log import SessionLogError, read_session
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import click
 
-from fes.cli.common.exits import FAILED
-from fes.cli.common.processors import processors
+from fes.cli.common import FAILED, processors
 from fes.estimation.numerics.jit import KEPT, compiled_here
 
 AHEAD_PARTS = ("strides", "path", "events")
@@ -65,8 +64,7 @@ def _compiling(part: str) -> subprocess.Popen[bytes]:
 def compile_part(part: str) -> None:
     """Run one part of what is compiled, on made-up steps; "analysis" on a virtual patient, written and read too.
 
-    Raises:
-        KeyError: there is no such part.
+    KeyError: there is no such part.
     """
     from fes.analysis.stride_fusion import lengths_along
     from fes.estimation.events.offline import find_events

@@ -1,18 +1,33 @@
 """``fes demo``: the main job with nothing to set up: a bundled trial, or a virtual patient in closed loop."""
 
+from __future__ import annotations
+
 import json
+import sys
 import tomllib
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
 
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted, writing
-from fes.cli.common.loop_view import LoopView
-from fes.cli.common.options import STIMULATORS, Number, choice, out_option, utc_now
-from fes.cli.common.progress import Interrupt
-from fes.hil.closed_loop import demo
+from fes.cli.common import (
+    LOG_SUFFIX,
+    STIMULATORS,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    choice,
+    failing,
+    fresh_folder,
+    interrupted,
+    out_option,
+    utc_now,
+    writing,
+)
+from fes.hil.closed_loop import one_process
+from fes.hil.closed_loop.one_process import LOW_MM, outcome, run_in_one_process
 from fes.hil.closed_loop.processes import Protocol
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
@@ -20,12 +35,118 @@ from fes.signals import NS_PER_S
 from fes.simulation import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualStride
 
+if TYPE_CHECKING:
+    from rich.console import Console, Group
+    from rich.live import Live
+
+# --- A closed-loop run as people see it: a live picture in a terminal, plain lines elsewhere ----------------
+
+
+STRIDES_SHOWN: Final = 14
+FEWEST_STRIDES: Final = 5  # in a low terminal; rather fewer texts
+TEXTS_SHOWN: Final = 4
+BAR_MM: Final = 30.0
+BAR: Final = 30
+
+
+def stride_line(stride: VirtualStride) -> str:
+    """One stride in one line."""
+    return (
+        f"{stride.t_flat_ns / NS_PER_S:6.1f} s  stride {stride.number:3d}  toe {1e3 * stride.toe_clearance_m:5.1f} mm  "
+        f"{stride.charge_uc:4.0f} µC  {outcome(stride)}"
+    )
+
+
+class LoopView:
+    """Use as a context manager; :meth:`stride`, :meth:`text` and :meth:`state` show what happens.
+
+    Args:
+        title: above the picture.
+        live: draw a picture; None: where stdout is a terminal.
+        quiet: show nothing.
+    """
+
+    def __init__(self, title: str, *, live: bool | None = None, quiet: bool = False) -> None:
+        self._title = title
+        self._draws = not quiet and (sys.stdout.isatty() if live is None else live)
+        self._prints = not quiet and not self._draws
+        self._live: Live | None = None
+        self._strides: list[VirtualStride] = []
+        self._texts: list[str] = []
+        self._state = ""
+
+    def stride(self, stride: VirtualStride) -> None:
+        """A stride of the affected foot is complete."""
+        self._strides = [*self._strides, stride][-STRIDES_SHOWN:]
+        if self._prints:
+            click.echo(stride_line(stride))
+        self._draw()
+
+    def text(self, t_s: float, text: str) -> None:
+        """A text about the tuning or the patient."""
+        self._texts = [*self._texts, f"{t_s:6.1f} s  {text}"][-TEXTS_SHOWN:]
+        if self._prints:
+            click.echo(f"{t_s:6.1f} s  → {text}")
+        self._draw()
+
+    def state(self, text: str) -> None:
+        """Where the session stands; lines are printed only when it changes."""
+        if text != self._state and self._prints:
+            click.echo(f"          session: {text}")
+        self._state = text
+        self._draw()
+
+    def __enter__(self) -> Self:
+        if self._draws:
+            from rich.live import Live
+
+            self._live = Live(auto_refresh=False, transient=False)
+            self._live.start()
+        elif self._prints:
+            click.echo(self._title)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def _draw(self) -> None:
+        if self._live is not None:
+            self._live.update(self.picture(self._live.console), refresh=True)
+
+    def picture(self, console: Console) -> Group:
+        """One frame, no higher than the terminal: what was said last is never cut off; older strides make room."""
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        colours = {"stumbled": "bold red", "dragged": "red", "low": "yellow", "clears": "green"}
+        above = [Text(self._title, "bold"), Text(self._state, "cyan")]
+        below = [Text(text, "dim") for text in self._texts[:-1]] + [Text(text) for text in self._texts[-1:]]
+
+        def lines(texts: list[Text]) -> int:
+            return sum(len(text.wrap(console, console.width)) for text in texts)
+
+        room = console.height - lines(above) - 2  # the table's head, and the cursor's line
+        while len(below) > 1 and room - lines(below) < FEWEST_STRIDES:
+            below.pop(0)
+        shown = self._strides[-min(max(room - lines(below), 1), STRIDES_SHOWN) :]
+        table = Table("stride", "toe clearance", "mm", "charge (µC)", "", box=None, pad_edge=False)
+        for stride in shown:
+            height_mm, what = 1e3 * stride.toe_clearance_m, outcome(stride)
+            filled = round(min(max(height_mm, 0.0), BAR_MM) / BAR_MM * BAR)
+            bar = Text("━" * filled + " " * (BAR - filled), colours[what])
+            said = Text(what, colours[what])
+            table.add_row(str(stride.number), bar, f"{height_mm:.0f}", f"{stride.charge_uc:.0f}", said)
+        return Group(*above, table, *below)
+
+
 GO_ON: Final = 3  # times, where a busy computer makes the session switch off
 LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
 TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
     "The strides' toe heights are the true ones; the controller measures some 1 mm more, and aims at that.\n"
-    f"A stride clears where the toe passes {demo.LOW_MM:.0f} mm or more above the ground, or else is low, dragged or "
+    f"A stride clears where the toe passes {LOW_MM:.0f} mm or more above the ground, or else is low, dragged or "
     "stumbled.\nSeconds are the patient's; the report's are of its log, which may begin some seconds before the walk."
 )
 
@@ -41,7 +162,7 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
     folder = fresh_folder(out, "closed_loop").resolve()
     if not fast and len(str(folder).encode()) > LONGEST_FOLDER:
         raise Problem(f"{folder}: the name is too long for a control socket. Choose a shorter one with --out.")
-    settings, plan = demo.patient(), demo.demo_protocol(demo.SECONDS)
+    settings, plan = one_process.patient(), one_process.demo_protocol(one_process.SECONDS)
     strides: list[VirtualStride] = []
     try:
         with (
@@ -51,9 +172,10 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
         ):
 
             def on_stride(stride: VirtualStride) -> None:
-                if stride.t_flat_ns > demo.SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
+                if stride.t_flat_ns > one_process.SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
                     view.text(
-                        demo.SLIPS_S, f"an electrode has slipped: {demo.SLIPS_TO:.0%} of the charge reaches the nerve"
+                        one_process.SLIPS_S,
+                        f"an electrode has slipped: {one_process.SLIPS_TO:.0%} of the charge reaches the nerve",
                     )
                 strides.append(stride)
                 view.stride(stride)
@@ -64,13 +186,13 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
             else:
                 log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, stimulator)
     except KeyboardInterrupt:
-        demo.write_strides(folder / "patient.strides.csv", strides)
+        one_process.write_strides(folder / "patient.strides.csv", strides)
         for begun in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
             with suppress(SessionLogError):  # too short for a header: there is nothing to report
                 _report(begun, folder / "report.html")
         interrupted(f"; everything is ended. What there is: {folder}")
-    demo.write_strides(folder / "patient.strides.csv", strides)
-    result = {**demo.result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
+    one_process.write_strides(folder / "patient.strides.csv", strides)
+    result = {**one_process.result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
     _report(log, folder / "report.html")
     (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     _show(result, as_json=as_json)
@@ -81,10 +203,9 @@ def _in_one_process(
 ) -> Path:
     from fes.config import validate_session
     from fes.estimation.warm_up import warm_up
-    from fes.hil.closed_loop.one_process import run_in_one_process
     from fes.hil.settings import patient_calibration, patient_session_text
 
-    text = patient_session_text(settings, current_ma=demo.CURRENT_MA)
+    text = patient_session_text(settings, current_ma=one_process.CURRENT_MA)
     (folder / "session.toml").write_text(text, encoding="utf-8")
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     view.state("on injected time, in one process")
@@ -131,7 +252,7 @@ def _between_processes(
 
     with failing(ImuLost, StimulatorLost), failing(CampaignBroken, kind=StoppedEarly), ExitStack() as stack:
         bench = start_patient_bench(
-            settings, folder, stack, stimulator=stimulator, current_ma=demo.CURRENT_MA, held=True
+            settings, folder, stack, stimulator=stimulator, current_ma=one_process.CURRENT_MA, held=True
         )
         ran = run_between_processes(
             bench, plan, on_stride=on_stride, on_status=on_status, on_tick=interrupt.check, most_rearms=GO_ON

@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from drivers.discover import CanChannel, LslStream, SerialPort, can_channels, lsl_streams, serial_ports
-from fes.cli.common.exits import FAILED, failing
-from fes.cli.common.options import PATH, not_there
+from fes.cli.common import FAILED, PATH, failing, not_there
 from fes.config import WIRELESS, Bus, ConfigError, Session, load_session
 
 ON_CAN = ("xsens_can", "dbc_can", "can", "canopen")

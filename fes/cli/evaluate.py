@@ -9,9 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, writing
-from fes.cli.common.options import PATH, SIDE, Number, choice, out_option
-from fes.cli.common.show import print_json, screen, write_table
+from fes.cli.common import (
+    LOG_SUFFIX,
+    PATH,
+    SIDE,
+    Number,
+    Problem,
+    StoppedEarly,
+    choice,
+    failing,
+    fresh_folder,
+    out_option,
+    writing,
+)
+from fes.cli.show import print_json, screen, write_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -91,7 +102,7 @@ def command(
 
 def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
     """The evaluation of orientations, which need no walk; None where the references are others."""
-    from fes.evaluation.reference.orientation import evaluate_orientation, only_orientations, read_orientation
+    from fes.evaluation.reference.evaluation import evaluate_orientation, only_orientations, read_orientation
     from fes.evaluation.reference.table import ReferenceError
     from fes.recording import RecordingError, read_recording
 

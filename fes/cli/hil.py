@@ -9,10 +9,21 @@ import click
 
 from drivers.simulated.spawn import ImuKind
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted, need_extra
-from fes.cli.common.options import PATH, SENSOR_KINDS, choice, out_option
-from fes.cli.common.show import print_json
-from fes.cli.replay.preparation import prepared
+from fes.cli.common import (
+    FAILED,
+    PATH,
+    SENSOR_KINDS,
+    Problem,
+    StoppedEarly,
+    choice,
+    failing,
+    fresh_folder,
+    interrupted,
+    need_extra,
+    out_option,
+)
+from fes.cli.replay.log import prepared
+from fes.cli.show import print_json
 from fes.config import ConfigError
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign

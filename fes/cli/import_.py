@@ -1,13 +1,12 @@
-"""``fes import``: public data sets, as downloaded, into recordings and references."""
+"""``fes import``: public data sets, as downloaded, into recordings and references. ``fes trials``: the bundled ones."""
 
 from pathlib import Path
 from typing import Any
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, fail, failing
-from fes.cli.common.options import PATH, SIDE, choice
-from fes.cli.common.show import print_json
+from fes.cli.common import FAILED, PATH, SIDE, Problem, choice, fail, failing, writing
+from fes.cli.show import print_json
 
 
 @click.command(name="import")
@@ -18,7 +17,7 @@ from fes.cli.common.show import print_json
 @click.option("--foot", type=SIDE, help="Whose, where the data set does not say. Default: right.")
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
-def command(
+def import_command(
     name: str, files: tuple[Path, ...], out: Path | None, form: str, foot: str | None, overwrite: bool, as_json: bool
 ) -> None:
     """Turn FILES (or a folder) of the data set NAME into recordings with sidecars, and references beside them.
@@ -71,3 +70,18 @@ def command(
     if failures:
         click.secho(f"{failures} of {len(todo)} files could not be used.", fg="red", err=True)
         raise SystemExit(FAILED)
+
+
+@click.command(name="trials")
+@click.argument("folder", type=PATH)
+@click.option("--only", help="One trial by name.")
+def trials_command(folder: Path, only: str | None) -> None:
+    """Write the bundled recordings, with their truth, to FOLDER; the same seeds give the same bytes."""
+    try:
+        from sim_inputs.generator.trials import main as generate
+    except ImportError:
+        what = "What makes the bundled recordings is part of the project's folder: run make trials there."
+        raise Problem(what) from None
+    with writing(folder, ". Choose another folder."):
+        code = generate([str(folder), *(("--only", only) if only else ())])
+    raise SystemExit(code)

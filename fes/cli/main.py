@@ -10,21 +10,21 @@ from typing import Any, Final
 import click
 
 from fes import __version__
-from fes.cli.common.exits import INTERRUPTED, Broken, Problem
+from fes.cli.common import INTERRUPTED, Broken, Problem
 
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
     "run": ("fes.cli.run.command", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
-    "exercise": ("fes.cli.run.exercise", "Bursts by the clock, lying or sitting. STIMULATES once armed by hand."),
+    "exercise": ("fes.cli.run.command", "Bursts by the clock, lying or sitting. STIMULATES once armed by hand."),
     "devices": ("fes.cli.devices", "What is connected: serial ports, CAN interfaces, LSL streams."),
     "doctor": (
-        "fes.cli.doctor.command",
+        "fes.cli.doctor",
         "Before a session: ports, buses, rates, clocks, disk, permissions, with remedies.",
     ),
     "qualify": ("fes.cli.qualify", "One device gone through by steps; evidence. STIMULATES, into a dummy load."),
     "replay": ("fes.cli.replay.command", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "timing": (
-        "fes.cli.timing.command",
+        "fes.cli.timing",
         "When transitions and stimulation happen: against a truth, and against a baseline kept in version control.",
     ),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
@@ -32,17 +32,32 @@ COMMANDS: Final = {
     "import": ("fes.cli.import_", "Public data sets, as downloaded, into recordings and references."),
     "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),
     "hil": ("fes.cli.hil", "A fault campaign: faults into a running session, judged at the stimulator's end."),
-    "explain": ("fes.cli.explain", "Why a session did what it did at one instant: guards, walking, gate, tuning."),
-    "report": ("fes.cli.report", "Write the report of a session log again."),
+    "explain": (
+        "fes.cli.logs",
+        "Why a session did what it did at one instant: guards, walking, gate, tuning.",
+    ),
+    "report": ("fes.cli.logs", "Write the report of a session log again."),
     "compare": ("fes.cli.compare", "Two session logs' differences, stride by stride."),
-    "convert": ("fes.cli.convert", "A session log as CSV, Parquet, MCAP, C3D or BIDS, for other programs."),
-    "anonymise": ("fes.cli.anonymise", "A session log without names, dates and ports; its replay is the same."),
-    "recover": ("fes.cli.recover", "Repair a torn session log and say what was lost."),
+    "convert": (
+        "fes.cli.logs",
+        "A session log as CSV, Parquet, MCAP, C3D or BIDS, for other programs.",
+    ),
+    "anonymise": (
+        "fes.cli.logs",
+        "A session log without names, dates and ports; its replay is the same.",
+    ),
+    "recover": ("fes.cli.logs", "Repair a torn session log and say what was lost."),
     "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),
     "cohort": ("fes.cli.cohort", "Analyse thousands of recordings with many processes; one data set, pages."),
-    "sweep": ("fes.cli.sweep", "Many settings tried on recordings or virtual patients; the best, and their trade-off."),
+    "sweep": (
+        "fes.cli.cohort",
+        "Many settings tried on recordings or virtual patients; the best, and their trade-off.",
+    ),
     "compile": ("fes.cli.compile_", "Compile for this processor, ahead of the first command; installing does it."),
-    "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
+    "trials": (
+        "fes.cli.import_",
+        "Generate the bundled recordings, with their truth, from their seeds.",
+    ),
 }
 
 
@@ -71,7 +86,8 @@ class LazyGroup(click.Group):
             return None
         if cmd_name in LIVE and sys.platform != "linux":
             raise Problem(WANTS_LINUX.format(cmd_name))
-        command = importlib.import_module(COMMANDS[cmd_name][0]).command
+        module = importlib.import_module(COMMANDS[cmd_name][0])
+        command = getattr(module, f"{cmd_name}_command", None) or module.command  # in a file of several by its name
         return command if isinstance(command, click.Command) else None
 
     def resolve_command(

@@ -12,8 +12,7 @@ from typing import Any, Final
 import click
 
 from fes import __version__
-from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, interrupted, writing
-from fes.cli.common.options import PATH, utc_now
+from fes.cli.common import FAILED, PATH, Problem, StoppedEarly, failing, interrupted, utc_now, writing
 from fes.config import ConfigError, ImuDevice, Session, load_session
 
 SIMULATED: Final = ("xbus", "ximu3", "capture2go", "witmotion", "can", "p24_low_level", "p24_mid_level", "rehastim2")
@@ -98,8 +97,7 @@ def _finish(evidence: dict[str, Any], stem: str, out: Path, key: bytes) -> None:
     """Write the evidence, show it, and say what deviates."""
     import json
 
-    from fes.qualify.evidence import finite, sealed, shown
-    from fes.qualify.judging import findings
+    from fes.qualify.evidence import findings, finite, sealed, shown
 
     evidence["figures"] = finite(evidence["figures"])
     with failing(ValueError):
@@ -129,7 +127,7 @@ def _stopping() -> Iterator[None]:
     from drivers.imu.port import ImuLost
     from drivers.stimulator.bus import BusError
     from drivers.stimulator.port import StimulatorLost
-    from fes.qualify.bench import NotQualified
+    from fes.qualify.sensor import NotQualified
 
     with failing(ConfigError), failing(ImuLost, StimulatorLost, BusError, NotQualified, kind=StoppedEarly):
         yield
@@ -157,7 +155,7 @@ def _real(
     path: Path | None, name: str | None, channel: int, by: str, *, dummy_load: bool
 ) -> tuple[str, dict[str, Any], dict[str, Any]]:
     """What kind it is, its settings, its figures."""
-    from fes.qualify.bench import RealTime, TerminalPerson
+    from fes.qualify.sensor import RealTime, TerminalPerson
 
     if path is None or not name or not by.strip():
         raise Problem("SESSION needs --device, a sensor's place or stimulator, and --by, who does the steps.")

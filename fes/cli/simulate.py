@@ -17,12 +17,26 @@ import click
 
 from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder
-from fes.cli.common.loop_view import stride_line
-from fes.cli.common.options import PATH, SENSOR_KINDS, SIDE, STIMULATORS, Number, choice, given_options, out_option
-from fes.cli.common.progress import Interrupt, replay_progress
-from fes.cli.common.show import show_latched
+from fes.cli.common import (
+    LOG_SUFFIX,
+    PATH,
+    SENSOR_KINDS,
+    SIDE,
+    STIMULATORS,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    choice,
+    failing,
+    fresh_folder,
+    given_options,
+    out_option,
+    replay_progress,
+)
+from fes.cli.demo import stride_line
 from fes.cli.main import WANTS_LINUX
+from fes.cli.show import show_latched
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
@@ -192,10 +206,9 @@ def command(
 def simulate(settings: PatientSettings, options: Options) -> None:
     """Walk, write, and say what came of it.
 
-    Raises:
-        Problem: files in the way, an unusable session, a foot that cannot be calibrated.
+    Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
-    from fes.hil.closed_loop.demo import write_strides
+    from fes.hil.closed_loop.one_process import write_strides
     from fes.recording import RecordingError, write_recording
     from fes.simulation.forward.closed_loop import recording_of, truth_of
     from fes.simulation.truth import write_truth

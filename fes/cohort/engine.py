@@ -18,8 +18,7 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from fes.cohort.sources import CohortError, Source, program
-from fes.cohort.store import Store
+from fes.cohort.store import CohortError, Source, Store, program
 from fes.cohort.task import Outcome, Settings, analyse_one, keep_failure, reason_of
 
 if TYPE_CHECKING:
@@ -99,8 +98,7 @@ def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> 
 
     ``limit_s``: which tasks will have.
 
-    Raises:
-        CohortError: it does not answer, has no worker, or its workers have another version of this program.
+    CohortError: it does not answer, has no worker, or its workers have another version of this program.
     """
     import logging
 
@@ -158,8 +156,7 @@ def analyse_all(
 ) -> list[Outcome]:
     """Analyse recordings on a cluster, each once; ``on_outcome`` hears of each as it is finished, or after ``limit_s``.
 
-    Raises:
-        CohortError: as :func:`run_tasks`.
+    CohortError: as :func:`run_tasks`.
     """
 
     tasks = []
@@ -178,8 +175,7 @@ def run_tasks(
     worker whenever it died is tried once more by itself, at the end: only the task that is to blame is given up. One
     that takes longer than ``limit_s`` dies with its process.
 
-    Raises:
-        CohortError: results cannot be kept any more, or the cluster is gone; what is kept stays.
+    CohortError: results cannot be kept any more, or the cluster is gone; what is kept stays.
     """
     from concurrent.futures import CancelledError
 
@@ -249,8 +245,7 @@ def _work_on(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome
 
     Where a task ends with an error that nobody foresaw, its reason stands in place of the outcome.
 
-    Raises:
-        OSError, CohortError: results cannot be kept.
+    OSError, CohortError: results cannot be kept.
     """
     begin_s = time.perf_counter()
     outcomes: list[Outcome | str] = []

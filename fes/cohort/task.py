@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from fes import __version__
-from fes.cohort.sources import CohortError, Source, local_copy
-from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
+from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, CohortError, Source, Store, local_copy
 from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:
@@ -51,8 +50,7 @@ class Outcome:
 def analyse_one(source: Source, store: Store, settings: Settings) -> Outcome:
     """Analyse a recording and keep its rows; what is wrong with the recording is kept as its reason.
 
-    Raises:
-        OSError: the results cannot be kept; the recording counts as not done.
+    OSError: the results cannot be kept; the recording counts as not done.
     """
     identity = source.identity(settings.text())
     try:
@@ -75,8 +73,7 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
 
     Else whoever reads the folder as one table would find these recordings twice.
 
-    Raises:
-        OSError: the storage does not let it.
+    OSError: the storage does not let it.
     """
     finished = store.finished()
     now = {source.url: source.identity(settings.text()) for source in sources}

@@ -98,8 +98,7 @@ def read_xsens_text(path: Path) -> XsensText:
 def read_tracks(folder: Path) -> tuple[dict[str, Track], list[str]]:
     """The sensors of one run on their common clock, and notes.
 
-    Raises:
-        ImportProblem: the folder holds no sensor whose place is known, or a file is damaged.
+    ImportProblem: the folder holds no sensor whose place is known, or a file is damaged.
     """
     places, how = _places(folder)
     texts: dict[str, XsensText] = {}

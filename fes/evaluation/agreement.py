@@ -72,8 +72,7 @@ class Differences:
 def differences(reference: FloatArray, estimate: FloatArray, *, z: float = LIMIT_Z) -> Differences:
     """Bias, SD (n − 1), RMSE and limits of agreement ``bias ± z SD`` of pairs (N,); NaN where N is too small.
 
-    Raises:
-        ValueError: the arrays differ in shape or hold a value that is not finite.
+    ValueError: the arrays differ in shape or hold a value that is not finite.
     """
     d = paired(reference, estimate)
     n, none = len(d), Interval(NAN)
@@ -90,11 +89,7 @@ def differences(reference: FloatArray, estimate: FloatArray, *, z: float = LIMIT
 
 
 def paired(reference: FloatArray, estimate: FloatArray) -> FloatArray:
-    """Estimate − reference (N,), once both are seen to be pairs of finite numbers.
-
-    Raises:
-        ValueError: they are not.
-    """
+    """Estimate − reference (N,), once both are seen to be pairs of finite numbers. ValueError: they are not."""
     reference, estimate = np.asarray(reference, np.float64), np.asarray(estimate, np.float64)
     if reference.shape != estimate.shape or reference.ndim != 1:
         raise ValueError(f"pairs have one shape (N,), not {reference.shape} and {estimate.shape}")
@@ -120,8 +115,7 @@ class RegressionLine:
 def regression_line(reference: FloatArray, estimate: FloatArray) -> RegressionLine:
     """Fit pairs (N,); NaN with fewer than three, or where all reference values are equal.
 
-    Raises:
-        ValueError: not pairs of finite numbers.
+    ValueError: not pairs of finite numbers.
     """
     d = paired(reference, estimate)
     none = Interval(NAN)
@@ -149,8 +143,7 @@ def icc_2_1(ratings: FloatArray) -> Interval:
     An ICC compares the raters' disagreement with the spread of the targets: where all strides are nearly equal it is
     small however good the estimates are.
 
-    Raises:
-        ValueError: not a table of finite numbers with at least two columns.
+    ValueError: not a table of finite numbers with at least two columns.
     """
     x = np.asarray(ratings, np.float64)
     if x.ndim != 2 or x.shape[1] < 2 or not np.isfinite(x).all():

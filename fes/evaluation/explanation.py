@@ -10,8 +10,8 @@ from typing import Final
 
 from fes.config import PHASE_ORDER, Channel, Session
 from fes.control.runner import Runner
-from fes.evaluation.log_replay import ReplayOutput
-from fes.live.remedies import with_remedy
+from fes.evaluation.log_comparison import ReplayOutput
+from fes.live.status import with_remedy
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
 from fes.stimulation.envelope import difference
 from fes.walk_record import Note
@@ -130,8 +130,7 @@ def explain(
 ) -> Explanation:  # fmt: skip
     """Run ``events`` through ``runner`` until just behind ``at_ns`` and say how things stood there.
 
-    Raises:
-        ValueError: no event comes before ``at_ns``.
+    ValueError: no event comes before ``at_ns``.
     """
     controller = runner.controller
     foot_of = {tracker.foot: foot for foot, tracker in controller.trackers.items()}

@@ -76,11 +76,7 @@ DOSE_ROUNDING_UC: Final = 12.0  # one command's and one pulse's charge
 
 
 def make_attempt(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
-    """Bring a scenario about for the n-th time and judge the answer.
-
-    Raises:
-        CampaignBroken: it could not be brought about.
-    """
+    """Bring a scenario about for the n-th time and judge the answer. CampaignBroken: it could not be brought about."""
     bench.value = scenario.value(n)
     judge = _JUDGES[scenario.effect] if scenario.moment is Moment.SWING else _lies_before_a_burst
     found = judge(bench, scenario, n)
@@ -476,11 +472,7 @@ def hardware_campaign(
 def run_campaign(
     bench: CampaignBench, name: str, scenarios: Sequence[Scenario], repeat: int, progress: Progress
 ) -> Campaign:
-    """The rows, one after the other.
-
-    Raises:
-        CampaignBroken: three attempts in a row could not even be made.
-    """
+    """The rows, one after the other. CampaignBroken: three attempts in a row could not even be made."""
     started, begin_s = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
     with ExitStack() as stack:
         stack.callback(bench.end_session)

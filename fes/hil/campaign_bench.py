@@ -13,7 +13,7 @@ from fes.hil.devices import Devices, Hardware
 from fes.hil.results import MS, Output, Outputs, output_at, overlap_ms
 from fes.hil.scenarios import Needs, Scenario
 from fes.hil.settings import reversed_axis
-from fes.live.proof import ASKED
+from fes.live.operator import ASKED
 from fes.live.status import Status
 from fes.signals import NS_PER_S
 
@@ -64,11 +64,7 @@ class CampaignBench:
 
     @property
     def devices(self) -> Devices:
-        """The simulated ones.
-
-        Raises:
-            CampaignBroken: the devices are real.
-        """
+        """The simulated ones. CampaignBroken: the devices are real."""
         if not isinstance(self.equipment, Devices):
             raise CampaignBroken("this fault needs simulated devices")
         return self.equipment
@@ -78,8 +74,7 @@ class CampaignBench:
     def prepare(self, variant: str, *, walks: bool = True) -> None:
         """A session of this kind is running, armed by hand while the patient stands, and raised; they walk on, or not.
 
-        Raises:
-            CampaignBroken: it cannot be brought there.
+        CampaignBroken: it cannot be brought there.
         """
         self.start(variant)
         self.outputs()
@@ -87,11 +82,7 @@ class CampaignBench:
         self.arm(walks=walks)
 
     def start(self, variant: str) -> None:
-        """A session of this kind is running.
-
-        Raises:
-            CampaignBroken: it does not come up.
-        """
+        """A session of this kind is running. CampaignBroken: it does not come up."""
         if self.controller is not None:
             if self.controller.alive and variant == self.variant:
                 return
@@ -113,8 +104,7 @@ class CampaignBench:
     def arm(self, *, walks: bool = True) -> None:
         """By hand, as often as it takes until the patient stands still; then up to the campaign's intensity.
 
-        Raises:
-            CampaignBroken: the session refuses for too long.
+        CampaignBroken: the session refuses for too long.
         """
         if walks and self.ready():
             return
@@ -196,8 +186,7 @@ class CampaignBench:
     ) -> Status:
         """Wait for a status, sending meanwhile what the one of the moment asks for.
 
-        Raises:
-            CampaignBroken: it did not come in time, or the session has ended.
+        CampaignBroken: it did not come in time, or the session has ended.
         """
         end_s, next_s = time.monotonic() + timeout_s, 0.0
         while time.monotonic() < end_s:
@@ -220,8 +209,7 @@ class CampaignBench:
     def in_burst(self, since_on_ms: float) -> Output:
         """Wait until current has been on for this long, at the stimulator's end; that stretch of current.
 
-        Raises:
-            CampaignBroken: no burst in half a minute.
+        CampaignBroken: no burst in half a minute.
         """
         end_s = time.monotonic() + BURST_S
         while time.monotonic() < end_s:

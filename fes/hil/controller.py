@@ -206,22 +206,14 @@ class ControllerProcess:
         os.write(self._keys, key)
 
     def page_port(self) -> int:
-        """Where its page is served.
-
-        Raises:
-            ProcessLookupError: it has none.
-        """
+        """Where its page is served. ProcessLookupError: it has none."""
         for path in self.folder.glob("**/page.url"):
             if port := urlsplit(path.read_text(encoding="utf-8").strip()).port:
                 return port
         raise ProcessLookupError("the session has no page")
 
     def child(self, module: str) -> int:
-        """The process id of its child that runs this module.
-
-        Raises:
-            ProcessLookupError: there is none.
-        """
+        """The process id of its child that runs this module. ProcessLookupError: there is none."""
         if pid := next((child.pid for child in self.children() if module in child.module), 0):
             return pid
         raise ProcessLookupError(f"the session has no process {module}")

@@ -21,7 +21,7 @@ from fes.hil.campaign_bench import CampaignBench, CampaignBroken
 from fes.hil.devices import SERIAL
 from fes.hil.settings import CHANNEL
 from fes.live.dashboard.process import press_stop
-from fes.live.supervised_line import MODULE as SUPERVISOR
+from fes.live.supervision import MODULE as SUPERVISOR
 
 RANDOM_FRAMES: Final = 62_500  # each time: 21 seconds' worth, 1,000,000 in 16 attempts
 TEND_EVERY: Final = 150

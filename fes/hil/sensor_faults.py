@@ -15,7 +15,7 @@ from queue import Empty, Queue
 from typing import Any, Final
 
 from drivers.imu.port import ImuLost, ImuPort
-from drivers.simulated.imu.faulted_port import FaultedImu
+from drivers.simulated.imu.faults import FaultedImu
 from drivers.simulated.record import RecordEntry
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Session
@@ -118,8 +118,7 @@ class RealSensor:
     def inject(self, name: str, value: float = 1.0) -> int:
         """Bring a fault about, or with 0 end it; when the session did so (CLOCK_MONOTONIC, ns).
 
-        Raises:
-            ImuLost: the session does not know it, or does not answer.
+        ImuLost: the session does not know it, or does not answer.
         """
         self._number += 1
         try:
@@ -142,8 +141,7 @@ class RealSensor:
     def new_entries(self) -> list[RecordEntry]:
         """What the stimulator answered since the last call, as entries of a record.
 
-        Raises:
-            StimulatorLost: an answer was lost on the way to here.
+        StimulatorLost: an answer was lost on the way to here.
         """
         if self._missed:
             self._missed = False

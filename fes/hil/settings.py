@@ -262,7 +262,6 @@ def patient_session_text(
 def patient_calibration(settings: PatientSettings) -> SensorCalibrations:
     """What ``fes calibrate`` finds in a walk of this patient without stimulation.
 
-    Raises:
-        CalibrationError: no foot can be calibrated.
+    CalibrationError: no foot can be calibrated.
     """
     return calibrate_phase_sensors(calibration_walk(settings))

@@ -164,8 +164,7 @@ def commands_of_keys(typed: bytes) -> list[OperatorCommand]:
 def mark_text(said: object) -> str:
     """A mark's text on one line: without control characters, marks of direction and what is no character.
 
-    Raises:
-        CommandRefused: it is no text, too long, or begins like a formula.
+    CommandRefused: it is no text, too long, or begins like a formula.
     """
     if not isinstance(said, str):
         raise CommandRefused("a mark's text must be a text")
@@ -182,8 +181,7 @@ def mark_text(said: object) -> str:
 def command_of_message(message: bytes) -> OperatorCommand:
     """The command in a control message ``{"ask": "up", "value": 0, "confirm": true}``; a mark has a ``text``.
 
-    Raises:
-        CommandRefused: it is none, or one that needs ``"confirm": true`` and has it not.
+    CommandRefused: it is none, or one that needs ``"confirm": true`` and has it not.
     """
     if len(message) > LONGEST_MESSAGE:
         raise CommandRefused(f"a command has at most {LONGEST_MESSAGE} bytes")

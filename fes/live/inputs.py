@@ -30,11 +30,7 @@ class Control:
     """
 
     def __init__(self, path: Path, execute: Execute) -> None:
-        """Bind.
-
-        Raises:
-            OSError: the path is taken, too long (107 bytes), or cannot be made.
-        """
+        """Bind. OSError: the path is taken, too long (107 bytes), or cannot be made."""
         self._path = path
         self._execute = execute
         self._watchers: list[str] = []

@@ -4,11 +4,11 @@ import errno
 import os
 import socket
 import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from fes.live.processes import start_helper
 from fes.session_log import SessionLogError
 from fes.session_log.writer import RecordBuffer, create
 
@@ -35,20 +35,14 @@ class PipedLog(RecordBuffer):
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         """Create the file, start its writer, wait until that has written the header.
 
-        Raises:
-            SessionLogError: the file is there already, cannot be made or written, or the header is not plain data.
+        SessionLogError: the file is there already, cannot be made or written, or the header is not plain data.
         """
         super().__init__(path, header)
         file = create(self.path)
         self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            command = [sys.executable, "-m", "fes.live.log_process", str(theirs.fileno()), str(file)]
-            command.append(str(self.path.absolute()))
-            self.process = subprocess.Popen(
-                command, pass_fds=(theirs.fileno(), file), stdin=subprocess.DEVNULL, start_new_session=True
-            )
+            self.process = start_helper("fes.live.log_process", theirs, file, self.path.absolute(), also=(file,))
         finally:
-            theirs.close()
             os.close(file)
         self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
         self._link.setblocking(False)
@@ -97,8 +91,7 @@ class PipedLog(RecordBuffer):
     def close(self, summary: dict[str, Any]) -> None:
         """Send the summary as the last record and wait until the writer has ended. Closing again does nothing.
 
-        Raises:
-            SessionLogError: not all of it is on the disk.
+        SessionLogError: not all of it is on the disk.
         """
         if self._closed:
             return

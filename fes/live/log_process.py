@@ -47,8 +47,7 @@ class Syncing:
 
         None where there is nothing new to say of it.
 
-        Raises:
-            OSError: the disk has refused.
+        OSError: the disk has refused.
         """
         now_s = time.monotonic()
         if self._failed is not None:
@@ -67,11 +66,7 @@ class Syncing:
         return None if slow == before else self._lasted_s if slow else 0.0
 
     def finish(self) -> None:
-        """Wait until all is on the disk.
-
-        Raises:
-            OSError: it is not.
-        """
+        """Wait until all is on the disk. OSError: it is not."""
         if self._thread is not None:
             self._thread.join()
         self._wait()
@@ -101,8 +96,7 @@ def misplaced(file: int, path: Path, written: int) -> str:
 def save(file: int, path: Path) -> tuple[int, Path]:
     """Copy what an open file holds to a new one beside its path, or where none can be made among temporary files.
 
-    Raises:
-        OSError: it can be made in neither place, or not written.
+    OSError: it can be made in neither place, or not written.
     """
     failed = OSError(errno.EIO, os.strerror(errno.EIO))
     for folder in (path.parent, Path(tempfile.gettempdir())):

@@ -15,11 +15,10 @@ from fes.gate import SafetyGate
 from fes.live.inputs import printable
 from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
-from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.sides import SideCheck
 from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Status, percent_of
+from fes.live.status import FootStatus, Status, percent_of, remedy
 from fes.session_log import Note
 from fes.signals import (
     GROUND_ACTS,

@@ -6,9 +6,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Final, Self
+from typing import Any, Final, Self
 
 LOOK_EVERY_S: Final = 0.25
 STUCK_S: Final = 0.5  # what is still busy so long after the parent's death is stuck in a write that nobody reads
@@ -61,6 +61,23 @@ def end_helper(process: subprocess.Popen[bytes], link: socket.socket, farewell: 
     link.close()
 
 
+def start_helper(
+    module: str, theirs: socket.socket, *arguments: object, also: Sequence[int] = (), **streams: Any
+) -> subprocess.Popen[bytes]:
+    """Run a module with the number of its end of a link as first argument; this process closes that end.
+
+    ``also``: further descriptors that it takes over; ``streams``: what becomes of its output, as Popen has it.
+    """
+    with theirs:
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *map(str, (theirs.fileno(), *arguments))],
+            pass_fds=(theirs.fileno(), *also),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+            **streams,
+        )
+
+
 class HelperProcess:
     """A module that helps the session while this is entered; ``link`` takes and gives datagrams and never blocks.
 
@@ -71,15 +88,7 @@ class HelperProcess:
     def __init__(self, module: str, *arguments: str, kind: socket.SocketKind = socket.SOCK_DGRAM) -> None:
         self.link, theirs = socket.socketpair(socket.AF_UNIX, kind)
         self.link.setblocking(False)
-        try:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", module, str(theirs.fileno()), str(os.getpid()), *arguments],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-        finally:
-            theirs.close()
+        self.process = start_helper(module, theirs, os.getpid(), *arguments)
 
     def __enter__(self) -> Self:
         return self

@@ -26,7 +26,7 @@ from fes.live.sensors import Input, SensorStream
 from fes.live.sides import SideCheck
 from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
-from fes.live.supervised_line import POLL_NS
+from fes.live.supervision import POLL_NS
 from fes.session_log import Note, Received, SessionLogError
 from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
 
@@ -127,11 +127,7 @@ class LiveSession:
         self._inputs.append(self._keyboard)
 
     def add_control(self, path: Path) -> None:
-        """A control socket.
-
-        Raises:
-            OSError: it cannot be made.
-        """
+        """A control socket. OSError: it cannot be made."""
         self._control = Control(path, self.operator.execute)
         self._inputs.append(self._control)
 
@@ -160,8 +156,7 @@ class LiveSession:
         ``handshake``: what opening the stimulator put on the wire; ``first_answers``: what it answered; ``grants``:
         what the operating system gave. ``check`` is called after every event and may raise KeyboardInterrupt.
 
-        Raises:
-            SessionLogError: the log cannot be written any more.
+        SessionLogError: the log cannot be written any more.
         """
         begin_ns = self._clock_ns()
         self.notices.streams = streams

@@ -15,9 +15,9 @@ import numpy as np
 
 from drivers.imu.capture2go_port import Capture2GoImu
 from drivers.imu.port import ImuPort
-from drivers.imu.witmotion_port import WitmotionImu
-from drivers.imu.xbus_port import XbusImu
-from drivers.imu.ximu3_port import Ximu3Imu
+from drivers.imu.witmotion import WitmotionImu
+from drivers.imu.xbus import XbusImu
+from drivers.imu.ximu3 import Ximu3Imu
 from drivers.simulated.imu.device import SimulatedImu
 from drivers.simulated.imu.serial_wires import serial_wire
 from drivers.simulated.stimulator.firmware import NEVER

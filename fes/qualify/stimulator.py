@@ -19,8 +19,7 @@ from drivers.stimulator.open import Port
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Channel, ConfigError, Session, validate_session
 from fes.gate import SafetyGate, gate_of
-from fes.qualify.bench import Clock, NotQualified, Reader
-from fes.qualify.sensor import Figures
+from fes.qualify.sensor import Clock, Figures, NotQualified, Reader
 from fes.signals import NS_PER_S, OperatorAct, OperatorAction, StimRequest, StimStatus, SystemFault, Tick
 
 CURRENT_MA, WIDTH_US = 10.0, 200.0  # low for a load of 1 kΩ, and well above what an oscilloscope shows as noise
@@ -53,8 +52,7 @@ class Ends(StrEnum):
 def exercise_of(session: Session, number: int, path: Path) -> Session:
     """The session's channel of this number as an exercise by itself, with its own limits and no sensor.
 
-    Raises:
-        ConfigError: no such channel, or its limits leave no room for what is tried.
+    ConfigError: no such channel, or its limits leave no room for what is tried.
     """
     channel = next((each for each in session.channels if each.number == number), None)
     if channel is None:
@@ -172,8 +170,7 @@ class StimulatorBench:
     ) -> tuple[float, int]:
         """One burst and what comes after it; how long it was asked for in ms, and how many commands were refused.
 
-        Raises:
-            NotQualified: the gate refuses what is asked for, and the stimulator is not to blame.
+        NotQualified: the gate refuses what is asked for, and the stimulator is not to blame.
         """
         self._open()  # while a person got ready it heard no command, and may have ended its session
         self._let_pass(gate, self.channel.limits.min_off_s + SETTLE_S)

@@ -1,5 +1,6 @@
 """Work on several sensors at once: compiled code and numpy hold no lock of Python's meanwhile, so that threads share
-the processors."""
+the processors.
+"""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor

@@ -31,8 +31,7 @@ from fes.report.summary import ReportData, summarise_session
 from fes.report.text import without_numbers
 from fes.session_log import SessionLogError, SessionRecord, read_session
 from fes.session_log.anonymise import QUOTING, scrubber
-from fes.session_log.export.mcap_file import epoch_offset_ns
-from fes.session_log.export.tables import ANOTHER, Exported
+from fes.session_log.export import ANOTHER, Exported, epoch_offset_ns
 from fes.signals import NS_PER_S, IntArray, OperatorAction
 from fes.stimulation.plan import BY_HAND_NS, LATEST_NS
 from fes.walk_record import MARK, SampleArrays

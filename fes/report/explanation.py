@@ -7,9 +7,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from fes.evaluation.explanation import AROUND_NS, Explanation, FootThen
-from fes.report.figures.stimulation import channel_color
 from fes.report.figures.strides import PHASE_COLORS
 from fes.report.figures.svg import Figure, Plot, padded
+from fes.report.figures.timeseries import channel_color
 from fes.report.html import rendered, trusted
 from fes.report.tables import add_columns, small_table
 from fes.report.text import number, plain, readable

@@ -7,11 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from fes.live.remedies import remedy
-from fes.report.by_hand import summed_up
+from fes.live.status import remedy
 from fes.report.quality import SensorQuality
 from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
-from fes.report.strides import StrideRow
+from fes.report.strides import StrideRow, summed_up
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, in_one, readable, together, without_numbers
 from fes.stimulation.onset import ONSET

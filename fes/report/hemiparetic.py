@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fes.analysis.hemiparetic.walk import MIN_AGREEING, MIN_SCORE
-from fes.report.figures.space import SpaceFigure, SpaceFoot
+from fes.report.figures.strides import SpaceFigure, SpaceFoot
 from fes.report.gait import POINTS, spread_of
 from fes.report.text import capitalised, mean_sd, readable, spread
 from fes.walk_record import Finding

@@ -94,8 +94,7 @@ def css_text(text: str) -> str:
 def write_page_file(text: str, path: Path, remedy: str) -> None:
     """Write a page, replacing an older one; folders are made. ``remedy``: what to do if it cannot be, as a sentence.
 
-    Raises:
-        ReportError: it cannot be written.
+    ReportError: it cannot be written.
     """
     draft = path.with_name(path.name + ".part")
     try:

@@ -12,17 +12,13 @@ from markupsafe import Markup
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.parameters.gait import GaitParameters
 from fes.report.figures import strides
-from fes.report.figures.space import ground_figures, space_figure
-from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
-from fes.report.figures.swing import swing_figures
-from fes.report.figures.timeseries import chart_data
+from fes.report.figures.strides import ground_figures, space_figure, swing_figures
+from fes.report.figures.timeseries import channel_color, chart_data, latency_figure, stimulation_figures, tuning_figures
 from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
-from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
-from fes.report.key_numbers import key_numbers
 from fes.report.moments import moment_data
-from fes.report.parameter_table import parameter_rows, scales_in_words, walk_rows
+from fes.report.parameter_table import key_numbers, parameter_rows, parameter_slugs, scales_in_words, terms, walk_rows
 from fes.report.quality import describe_flags
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
@@ -53,8 +49,7 @@ def write_report(
     out. ``gait``: its parameters from the samples; else they are worked out from the strides. ``hemiparetic``: what was
     found of the walk as a hemiparetic one. The same record always gives the same bytes.
 
-    Raises:
-        ReportError: the file cannot be written.
+    ReportError: the file cannot be written.
     """
     text = render_report(record, data=data, paths=paths, gait=gait, hemiparetic=hemiparetic)
     write_page_file(text, path, "Choose a place that can be written to.")

@@ -1,17 +1,139 @@
-"""Rows of the report's gait parameters: numbers as people read them, and which strides in them want care."""
+"""Rows of the report's gait parameters: numbers as people read them, and which strides in them want care.
+
+What words and numbers mean: shown on hover, focus and touch, and listed at the report's end.
+
+What is usual stands beside the key numbers where somebody has published it, each with its source. Ranges are of
+comfortable walking over ground. They depend on age, sex and height, which a session does not know, and on a treadmill
+the belt sets the speed: they are there to see how far away a number is, and judge nothing.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
 
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters, Statistic
-from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
-from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, describe_flags
-from fes.report.text import DIGITS, number, readable
+from fes.evaluation.agreement import CONFIDENCE, Interval, combined, mean_of
+from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, LOST, MEANING, SHORT, UNSURE, Flag, describe_flags
+from fes.report.summary import SessionSummary
+from fes.report.text import DIGITS, capitalised, count_of, number, readable, slug, together
+from fes.signals import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Norm:
+    """One published range: ``text`` for a table's cell, ``detail`` says of whom, ``source`` where it is from."""
+
+    text: str
+    detail: str
+    source: str
+
+    def hover(self) -> str:
+        """All of it."""
+        return f"{self.text}: {self.detail} [{self.source}]"
+
+
+NORMS: Final[dict[str, Norm]] = {
+    "walking_speed_mps": Norm(
+        "0.94 … 1.43 m/s",
+        "means of healthy adults at their normal pace over ground, from women of 80 and more to men of 40 to 49; a "
+        "meta-analysis of 23,111 people",
+        "Bohannon & Andrews 2011, Physiotherapy 97:182",
+    ),
+    "temporal_symmetry": Norm(
+        "0.9 … 1.1",
+        "95 % interval of 24 healthy people over ground",
+        "Patterson et al. 2008, Arch Phys Med Rehabil 89:304",
+    ),
+}
+# Speeds of stroke survivors and how far they usually get with them: upper bound (m/s) and name.
+SPEED_CLASSES: Final = ((0.4, "household walking"), (0.8, "limited community walking"), (99.0, "community walking"))
+SPEED_CLASSES_SOURCE: Final = (
+    "Up to 0.4 m/s, to 0.8 m/s and above 0.8 m/s after a stroke: household, limited community and community walking "
+    "[Perry et al. 1995, as in Schmid et al. 2007]. Made for walking over ground at one's own pace"
+)
+
+
+def speed_class(speed_mps: float) -> str:
+    """Perry et al.'s class of a walking speed (m/s); "" where it is not known."""
+    return next((name for bound, name in SPEED_CLASSES if speed_mps <= bound), "")
+
+
+GLOSSARY: dict[str, str] = {
+    "stride": "From mid-stance to the next mid-stance of the same foot (m, s). Some papers call it a step.",
+    "stride length": "Horizontal distance of the foot sensor between the two mid-stances (m).",
+    "clearance": "Greatest height of the sensor during the stride above its height at the start (cm).",
+    "toe clearance": "Least height of the toe in mid-swing (cm); the settings, or fes analyse, say where the toe is.",
+    "heel clearance": "Greatest height of the heel (cm); the settings, or fes analyse, say where the heel is.",
+    "pre-swing": "From heel rise until the toe leaves the ground.",
+    "swing": "The foot is off the ground, until first contact.",
+    "loading response": "From first contact until the foot lies still.",
+    "stance": "The foot lies still, until the heel rises again.",
+    "four phases": "Pre-swing, swing, loading response and stance were all entered, in this order.",
+    "T5": "The heel was lifted and put back without a swing.",
+    "T6": "The swing ended in stance without a loading response being seen.",
+    "valid": "The stride's numbers can be used; if not, the reason is given and it is left out of all averages.",
+    "walking speed": "Distance over time of the valid strides within 30 % of the median speed (m/s); mean of feet.",
+    "cadence": "Two steps per stride: 120 s divided by the mean stride time in s (steps/min).",
+    "onset": "First command to stimulate, counted from the entry into pre-swing of the same foot (ms).",
+    "burst": "A stretch in which a channel was commanded on without a break.",
+    "charge": "Charge of one phase of all pulses (µC): counted by the stimulator, else current · width · number.",
+    "outside": "Time a channel was commanded on while its foot was in a phase in which it must be off (s).",
+    "latency": "From a sample's arrival to the controller's decision (ms).",
+    "p50, p99": "Half, and 99 of 100, of the values are no greater than this.",
+    "SD": "Standard deviation; for phase durations in percent of the mean.",
+    "gate": "The safety gate: the last check before the wire. It turns a command off when in doubt and says why.",
+    "pitch": "Rotation of the foot about the axis across it (°): toe up positive, 0 in the stance at the start.",
+}
+
+
+_MORE = {
+    "CV": "Coefficient of variation: standard deviation over the size of the mean (%).",
+    "interval": "The mean of endless walking just like this lies there 95 times in 100; strides are taken to be like "
+    "their neighbours. It knows nothing of errors that all strides share.",
+    "n": "How many steady strides the mean is of: within 30 % of the median stride's length, turning by 20° at most.",
+    "usual": "What a published source found; of healthy people over ground, not of this person. "
+    + "; ".join(norm.hover() for norm in NORMS.values()),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """``name`` is what is explained, ``text`` the explanation with unit, formula in words and source."""
+
+    name: str
+    text: str
+
+
+@cache
+def terms() -> dict[str, Term]:
+    """By anchor: words of the report, then gait parameters."""
+    found = {slug(name): Term(name, text) for name, text in (*GLOSSARY.items(), *_MORE.items())}
+    for kind, name in SHORT.items():
+        found[slug(f"flag {name}")] = Term(name, f"{capitalised(MEANING[kind])}.")
+    for key, known in DEFINITIONS.items():
+        symbol = f" ({known.symbol})" if known.symbol else ""
+        unit = f" Unit: {known.shown}." if known.shown else ""
+        source = f" [{known.source}]" if known.source else ""
+        found[slug(key)] = Term(f"{known.name}{symbol}", f"{capitalised(known.text)}.{unit}{source}")
+    found[slug("temporal_symmetry")] = Term(
+        "temporal symmetry",
+        "Swing over stance time of the paretic side over that of the other; left over right where no side was named. "
+        f"1 is symmetric. Usual: {NORMS['temporal_symmetry'].hover()}.",
+    )
+    found[slug("speed_class")] = Term("speed class after stroke", f"{SPEED_CLASSES_SOURCE}.")
+    return found
+
+
+def parameter_slugs() -> list[str]:
+    """Anchors of the gait parameters, in the table's order."""
+    return [slug(key) for key in DEFINITIONS] + [slug("temporal_symmetry"), slug("speed_class")]
+
 
 _TIMES: Final = (
     *("stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share", "step_time_s"),
@@ -130,3 +252,101 @@ def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, i
     why = f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {describe_flags(own)}"
     mean, sd = (number(known.factor * each, digits) for each in (value.mean, value.sd))
     return SideCell(foot, mean, sd, number(100.0 * value.cv, 1), value.n, flagged, why if flagged else "")
+
+
+# --- The six numbers of the first page, each with how far it can be relied on -------------------------------
+
+
+MOST: Final = 6
+_OF_FEET: Final = ("stride_length_common_m", "stance_share", "toe_clearance_m", "lift_m")
+
+
+@dataclass(frozen=True, slots=True)
+class KeyNumber:
+    """``term``: its word in the glossary. ``values``: (foot, text), the foot "" for what is of all."""
+
+    term: str
+    name: str
+    values: tuple[tuple[str, str], ...]
+    below: str
+
+
+def key_numbers(summary: SessionSummary, gait: GaitParameters) -> list[KeyNumber]:
+    """The first six that are known, in the order in which they matter to whoever treats the person."""
+    return list(_known(summary, gait))[:MOST]
+
+
+def _known(s: SessionSummary, gait: GaitParameters) -> Iterator[KeyNumber]:
+    if s.channels:
+        bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
+        charge_mc = sum(channel.charge_uc for channel in s.channels) / 1e3
+        counted = all(channel.charge_counted_by_device for channel in s.channels if channel.bursts)
+        how = f"{count_of(bursts, 'burst')}, {on_s:.1f} s on; {'counted by the stimulator' if counted else 'estimated'}"
+        how += f"; {len(s.channels)} channels together" if len(s.channels) > 1 else ""
+        yield KeyNumber("charge", "Stimulation", (("", f"{charge_mc:.2f} mC"),), how)
+    feet = together(list(s.feet))
+    if s.exercise is None:
+        below = f"usual {NORMS['walking_speed_mps'].text}"
+        if s.belt_speed_mps > 0:
+            below = f"belt {s.belt_speed_mps:.2f}, ratio {number(s.speed_over_belt, 3)}"
+        shown = _shown(_over_feet(gait, "speed_mps", s.walking_speed_mps), 2, "m/s")
+        yield KeyNumber("walking speed", "Walking speed", (("", shown),), below)
+    for key in _OF_FEET[:2]:
+        yield from _of_each_foot(gait, key)
+    if np.isfinite(gait.walk.cadence_per_min):
+        time = _over_feet(gait, "stride_time_s", 120.0 / gait.walk.cadence_per_min)
+        ends = sorted((120.0 / time.low, 120.0 / time.high))
+        shown = _shown(Interval(gait.walk.cadence_per_min, *ends), 1, "/min")
+        yield KeyNumber("cadence", "Cadence", (("", shown),), "steps")
+    lifted = [each for key in _OF_FEET[2:] for each in _of_each_foot(gait, key)]
+    yield from lifted[:1]  # the toe's where it is known
+    of = len(s.strides) + sum(foot.unexplained for foot in s.feet.values())
+    if of:
+        four = sum(row.four_phases for row in s.strides)
+        low, high = share_between(four, of)
+        shown = f"{100 * four / of:.0f} % ({100 * low:.0f} … {100 * high:.0f})"
+        yield KeyNumber(
+            "four phases", "All four phases", (("", shown),), ", ".join(filter(None, (f"{four} of {of}", feet)))
+        )
+    valid = sum(row.valid for row in s.strides)
+    yield KeyNumber(
+        "stride", "Strides", (("", f"{len(s.strides)}"),), ", ".join(filter(None, (f"{valid} valid", feet)))
+    )
+
+
+def share_between(count: int, of: int) -> tuple[float, float]:
+    """Confidence interval of a share (Wilson, J Am Stat Assoc 22, 1927)."""
+    z, share = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE), count / of
+    middle, reach = share + z**2 / (2 * of), z * math.sqrt(share * (1.0 - share) / of + (z / (2 * of)) ** 2)
+    low, high = (middle - reach) / (1.0 + z**2 / of), (middle + reach) / (1.0 + z**2 / of)
+    return max(low, 0.0), min(high, 1.0)
+
+
+def _shown(value: Interval, digits: int, unit: str) -> str:
+    """``0.41 ± 0.01 m/s``; without an interval ``± –``."""
+    return f"{number(value.value, digits)} ± {number(0.5 * (value.high - value.low), digits)} {unit}".rstrip()
+
+
+def _values(gait: GaitParameters, foot: str, key: str) -> FloatArray:
+    rows = gait.strides[foot]
+    return np.asarray(rows[key][rows["steady"]], np.float64)
+
+
+def _over_feet(gait: GaitParameters, key: str, value: float) -> Interval:
+    """A number of the walk, with the interval of the mean of the feet's means."""
+    feet = [mean_of(_values(gait, foot, key)) for foot in gait.strides]
+    feet = [each for each in feet if each.n]
+    return combined(value, [(1.0 / len(feet), each.error, each.freedom) for each in feet]) if feet else Interval(value)
+
+
+def _of_each_foot(gait: GaitParameters, key: str) -> Iterator[KeyNumber]:
+    known, means = DEFINITIONS[key], {foot: mean_of(_values(gait, foot, key)) for foot in gait.strides}
+    digits = DIGITS[known.shown]
+    values = []
+    for foot, mean in means.items():
+        if mean.n:
+            own = combined(known.factor * mean.mean, [(known.factor, mean.error, mean.freedom)])
+            values.append((foot, _shown(own, digits, known.shown)))
+    if values:
+        below = f"of {' and '.join(str(each.n) for each in means.values() if each.n)} strides"
+        yield KeyNumber(key, capitalised(known.name), tuple(values), below)

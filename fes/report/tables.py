@@ -11,10 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fes.report.by_hand import summed_up
 from fes.report.findings import findings, is_only_data, verdict
 from fes.report.stimulation import tuning_lines
-from fes.report.strides import StrideRow
+from fes.report.strides import StrideRow, summed_up
 from fes.report.summary import FootSummary, SessionSummary
 from fes.report.text import Spread, capitalised, count_of, mean_sd, number, readable
 

@@ -1,7 +1,5 @@
 """Timing as pages: a recording's events over its signals, delays as histograms, worst cases; and many in a list."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,8 +41,7 @@ def write_timing_pages(outcomes: Sequence[RecordingTiming], folder: Path, names:
 
     ``names``: what is checked, and what it is held against.
 
-    Raises:
-        ReportError: one cannot be written.
+    ReportError: one cannot be written.
     """
     pages = {each.name: folder / (re.sub(r"[^\w.-]+", "_", each.name) + ".html") for each in outcomes}
     worst = {each.name: worst_cases(each) for each in outcomes}

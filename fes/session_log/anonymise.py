@@ -111,8 +111,7 @@ def anonymise(
 def scrubber(header: dict[str, Any], source: Path) -> Callable[[str], str]:
     """What takes out of a text the names that the log's header has, paths and long numbers, as :func:`anonymise` does.
 
-    Raises:
-        ConfigError: the header's settings are not of this version; ``source`` is for the message.
+    ConfigError: the header's settings are not of this version; ``source`` is for the message.
     """
     return _Scrub(_secrets(header, _header(header, source, 0), ()))
 

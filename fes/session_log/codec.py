@@ -164,11 +164,7 @@ class SampleParts:
         self._columns: dict[int, tuple[Growing, Growing, Growing, Growing]] = {}
 
     def add(self, payloads: Iterable[memoryview]) -> None:
-        """Take runs in, in order.
-
-        Raises:
-            struct.error, IndexError, ValueError: a payload is no run.
-        """
+        """Take runs in, in order. struct.error, IndexError, ValueError: a payload is no run."""
         starts = [(*_START.unpack_from(payload), payload) for payload in payloads]
         for layout, alike in groupby(starts, key=itemgetter(0)):
             base_ns, rows = _joined(alike, _DTYPES[layout])
@@ -206,8 +202,7 @@ class LatencyRun(_Run):
     def add(self, t_ns: int, latency_ns: int) -> bool:
         """Append a pair; False, with nothing changed, if this run cannot hold it or is long enough.
 
-        Raises:
-            struct.error: a time beyond 64 bits.
+        struct.error: a time beyond 64 bits.
         """
         if not self._payload:
             self._layout = 0 if 0 <= latency_ns <= _LARGEST_LATENCY else 1
@@ -223,11 +218,7 @@ class LatencyRun(_Run):
 
 
 def latency_arrays(payloads: Iterable[memoryview]) -> tuple[IntArray, IntArray]:
-    """Return (t_ns, latency_ns) of many latency runs.
-
-    Raises:
-        struct.error, IndexError, ValueError: a payload is no run.
-    """
+    """Return (t_ns, latency_ns) of many latency runs. struct.error, IndexError, ValueError: a payload is no run."""
     times, latencies = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     starts = [(*_START.unpack_from(payload), payload) for payload in payloads]
     for wide, alike in groupby(starts, key=itemgetter(0)):
@@ -258,8 +249,7 @@ Rare = RareEvent | StimCommand | WireFrame | PhaseChange | StrideResult | Note |
 def encode(value: Rare) -> tuple[RecordType, bytes]:
     """Return the record type and payload of a value.
 
-    Raises:
-        struct.error, TypeError, ValueError: a field holds what the log cannot.
+    struct.error, TypeError, ValueError: a field holds what the log cannot.
     """
     match value:
         case Tick():
@@ -301,8 +291,7 @@ def encode(value: Rare) -> tuple[RecordType, bytes]:
 def decode(kind: int, payload: memoryview) -> Rare:
     """Return the value of a single record; the inverse of :func:`encode`.
 
-    Raises:
-        struct.error, ValueError, KeyError, IndexError, TypeError: the payload is not of this type.
+    struct.error, ValueError, KeyError, IndexError, TypeError: the payload is not of this type.
     """
     match kind:
         case RecordType.TICK:
@@ -346,8 +335,7 @@ def decode(kind: int, payload: memoryview) -> Rare:
 def decode_many(kind: int, payloads: Sequence[memoryview]) -> list[Any]:
     """Return the values of many single records of one type, as :func:`decode` each; frequent ones three times as fast.
 
-    Raises:
-        struct.error, ValueError, KeyError, IndexError, TypeError: as :func:`decode`.
+    struct.error, ValueError, KeyError, IndexError, TypeError: as :func:`decode`.
     """
     if kind not in (RecordType.COMMAND, RecordType.STATUS):
         return [decode(kind, each) for each in payloads]
@@ -392,18 +380,13 @@ def _unpack(forms: tuple[struct.Struct, ...], payload: memoryview) -> tuple[Any,
 def encode_json(values: dict[str, Any]) -> bytes:
     """Return UTF-8 JSON; NaN and infinities are kept, numpy's numbers become plain ones.
 
-    Raises:
-        TypeError, ValueError: a value is not plain data.
+    TypeError, ValueError: a value is not plain data.
     """
     return json.dumps(values, ensure_ascii=False, separators=(",", ":"), default=_plain).encode()
 
 
 def decode_json(payload: memoryview) -> dict[str, Any]:
-    """Return the mapping in a JSON payload.
-
-    Raises:
-        ValueError: it is not JSON or not a mapping.
-    """
+    """Return the mapping in a JSON payload. ValueError: it is not JSON or not a mapping."""
     try:
         values = json.loads(bytes(payload))
     except RecursionError as error:

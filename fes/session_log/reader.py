@@ -32,9 +32,8 @@ _NO_INPUTS |= {RecordType.STRIDE, RecordType.NOTE}
 def read_session(path: Path, leave_out: frozenset[RecordType] = frozenset()) -> SessionRecord:
     """Read all that a session left behind; types of single records to ``leave_out`` stay empty.
 
-    Raises:
-        SessionLogError: the file cannot be read, is no session log, or was stopped before its header was stored.
-            A torn or damaged end is no error: see ``SessionRecord.complete`` and ``lost``.
+    SessionLogError: the file cannot be read, is no session log, or was stopped before its header was stored. A torn or
+    damaged end is no error: see ``SessionRecord.complete`` and ``lost``.
     """
     scan = LogScan(Path(path))
     records = iter(scan)
@@ -122,8 +121,7 @@ class _Gathered:
 def iter_events(path: Path) -> Iterator[Event]:
     """Yield the events in their original order, for replay; ends where the log is torn.
 
-    Raises:
-        SessionLogError: as :func:`read_session`.
+    SessionLogError: as :func:`read_session`.
     """
     return (each for each in iter_inputs(path) if not isinstance(each, Received | WireFrame))
 
@@ -131,8 +129,7 @@ def iter_events(path: Path) -> Iterator[Event]:
 def iter_inputs(path: Path) -> Iterator[Event | Received | WireFrame]:
     """Yield the events in their original order, and among them what a serial line brought and what went onto the wire.
 
-    Raises:
-        SessionLogError: as :func:`read_session`.
+    SessionLogError: as :func:`read_session`.
     """
     scan = LogScan(Path(path))
     records = iter(scan)

@@ -108,8 +108,7 @@ class _Refused:
 def stretches(path: Path) -> Iterator[Whole | Damage]:
     """Yield what a session log consists of, without a byte left out, in the order of the file.
 
-    Raises:
-        SessionLogError: the file cannot be read or is no session log of this format.
+    SessionLogError: the file cannot be read or is no session log of this format.
     """
     try:
         with Path(path).open("rb", buffering=BLOCK_BYTES) as file:
@@ -333,8 +332,7 @@ class Survey:
 def survey(path: Path) -> Survey:
     """Read a log through and say what it holds and lacks; nothing is written.
 
-    Raises:
-        SessionLogError: the file cannot be read or is no session log.
+    SessionLogError: the file cannot be read or is no session log.
     """
     log = Survey(Path(path))
     last_ns: dict[RecordType, int] = {}

@@ -33,11 +33,7 @@ class RecordBuffer(ABC):
     """
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
-        """Begin with magic and header.
-
-        Raises:
-            SessionLogError: the header is not plain data.
-        """
+        """Begin with magic and header. SessionLogError: the header is not plain data."""
         self.path = Path(path)
         self._fault = ""
         self._buffer = bytearray(MAGIC)
@@ -175,8 +171,7 @@ class RecordBuffer(ABC):
 def create(path: Path) -> int:
     """Make a new session log's file; its descriptor, for adding to it, and for reading it should its name be gone.
 
-    Raises:
-        SessionLogError: the file is there already or cannot be made.
+    SessionLogError: the file is there already or cannot be made.
     """
     try:
         return os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
@@ -194,8 +189,7 @@ class SessionWriter(RecordBuffer):
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         """Create the file and store the header at once.
 
-        Raises:
-            SessionLogError: the file is there already, cannot be made, or the header is not plain data.
+        SessionLogError: the file is there already, cannot be made, or the header is not plain data.
         """
         super().__init__(path, header)
         self._fd = create(self.path)
@@ -215,9 +209,8 @@ class SessionWriter(RecordBuffer):
     def close(self, summary: dict[str, Any]) -> None:
         """Write the summary as the last record, wait for the disk, close. Closing again does nothing.
 
-        Raises:
-            SessionLogError: the disk refused a write (now or before) or the summary is not plain data; the file is
-                closed all the same, without its end.
+        SessionLogError: the disk refused a write (now or before) or the summary is not plain data; the file is closed
+        all the same, without its end.
         """
         if self._fd < 0:
             return

@@ -1,6 +1,7 @@
 """A simulated walker with an IMU on each foot, and the truth beside every sample.
 
-And where the bundled recordings are: ``sim_inputs`` in a checkout, or the few of them that the wheel carries."""
+And where the bundled recordings are: ``sim_inputs`` in a checkout, or the few of them that the wheel carries.
+"""
 
 from pathlib import Path
 

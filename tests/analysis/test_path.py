@@ -25,7 +25,7 @@ from fes.estimation.sensor_choice import Calibration
 from fes.estimation.zupt import foot_trajectory
 from fes.estimation.zupt.decimation import ZuptSettings
 from fes.recording import Recording, Track, read_recording
-from fes.report.figures.space import same_scale
+from fes.report.figures.strides import same_scale
 from fes.signals import G_MPS2, FloatArray
 from fes.simulation.truth import load_truth
 

@@ -16,7 +16,7 @@ from replays import FES, SETTINGS, TRIALS, both_feet, one_sample_changed, rewrit
 
 import fes.report.page
 from fes.cli import main
-from fes.cli.common.exits import BROKEN, FAILED, INTERRUPTED, OK, STOPPED, UNUSABLE, Problem
+from fes.cli.common import BROKEN, FAILED, INTERRUPTED, OK, STOPPED, UNUSABLE, Problem
 from fes.cli.main import COMMANDS, LazyGroup
 from fes.recording import write_recording
 from fes.session_log import read_session

@@ -20,13 +20,13 @@ from click.testing import CliRunner
 from replays import SETTINGS
 
 from drivers.discover import CanChannel, SerialPort, can_channels, device_maker
-from drivers.imu import ximu3_codec
+from drivers.imu import ximu3
 from drivers.stimulator.serial_line import latency_hint
-from fes.cli.common.exits import FAILED, OK
+from fes.cli import doctor as doctor_devices
+from fes.cli import doctor as doctor_host
+from fes.cli.common import FAILED, OK
 from fes.cli.devices import Connected, wanted_by
-from fes.cli.doctor import command as doctor_host
-from fes.cli.doctor import devices as doctor_devices
-from fes.cli.doctor.command import Finding, Verdict, settings, stop_file_finding
+from fes.cli.doctor import Finding, Verdict, settings, stop_file_finding
 from fes.cli.main import main
 from fes.config import ImuDevice, Session, load_session
 from fes.live import realtime
@@ -70,7 +70,7 @@ class Sensor:
         while not self._end.is_set():
             number += 1
             own_us = round(1e6 * self._clock * number / self._rate_hz)
-            os.write(self._own, ximu3_codec.encode(ximu3_codec.Inertial(own_us, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))))
+            os.write(self._own, ximu3.encode(ximu3.Inertial(own_us, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))))
             time.sleep(max(0.0, began_s + number / self._rate_hz - time.monotonic()))
 
     def close(self) -> None:

@@ -19,8 +19,8 @@ from test_one_process import run as closed_loop
 from fes.cli import main
 from fes.cli.replay import log as replayed_log
 from fes.gate import SafetyGate
-from fes.live.remedies import remedy
 from fes.live.sides import EXCHANGED
+from fes.live.status import remedy
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord, read_session
 from fes.signals import (

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from replays import SETTINGS, cut, edit, trial
 
-from fes.cli.common.exits import OK
-from fes.cli.common.show import latched
+from fes.cli.common import OK
 from fes.cli.main import main
+from fes.cli.show import latched
 from fes.recording import Track, write_recording
 from fes.report.quality import Notice
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from fes.cli.common.exits import error_text
-from fes.cli.common.show import write_table
+from fes.cli.common import error_text
 from fes.cli.main import main
+from fes.cli.show import write_table
 from fes.config.base import read_toml
 from fes.recording import SidecarMissingError
 from fes.report.page import render_report

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from test_sciencemode_ports import KINDS, MS, Bench, command
 
-from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator
-from drivers.stimulator.sciencemode.port import ScienceModePort
-from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
+from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator
+from drivers.stimulator.rehastim2_port import RehaStim2
+from drivers.stimulator.sciencemode import ScienceModePort
 from fes.cli.replay.stimulators import LoggedLine
 from fes.signals import WireFrame
 

@@ -8,7 +8,7 @@ import pytest
 import report_records as make
 from rich.console import Console
 
-from fes.cli.common.exits import StoppedEarly
+from fes.cli.common import StoppedEarly
 from fes.cli.run.command import finish, write_report
 from fes.report.summary import summarise
 from fes.report.tables import closing_block

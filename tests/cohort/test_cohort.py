@@ -16,8 +16,7 @@ from click.testing import CliRunner
 from fes.cli import main
 from fes.cohort.engine import analyse_all, cluster
 from fes.cohort.page import write_pages
-from fes.cohort.sources import CohortError, Source, find_sources
-from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
+from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, CohortError, Source, Store, find_sources
 from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
 
 TRIALS = Path(__file__).parents[2] / "sim_inputs"

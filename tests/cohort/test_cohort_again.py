@@ -20,8 +20,18 @@ from processes import gone_after_s
 from pyarrow import parquet
 
 from fes.cli import main
-from fes.cohort.sources import LARGEST_SIDECAR, Source, files_named_in, find_sources, local_copy, program
-from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
+from fes.cohort.store import (
+    EVENTS,
+    LARGEST_SIDECAR,
+    RECORDINGS,
+    STRIDES,
+    Source,
+    Store,
+    files_named_in,
+    find_sources,
+    local_copy,
+    program,
+)
 from fes.cohort.sweep.task import TRUTH_FILES
 from fes.cohort.task import DONE, FAILED, Settings, analyse_one, drop_replaced
 
@@ -98,7 +108,7 @@ def test_the_program_is_known_by_its_sources(tmp_path: Path) -> None:
     for package in ("fes", "drivers", "statemachine"):
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(Path(__file__).parents[2] / package, tmp_path / package, ignore=ignored)
-    code = "from fes.cohort.sources import program; print(program())"
+    code = "from fes.cohort.store import program; print(program())"
 
     def told() -> str:
         asked = subprocess.run(

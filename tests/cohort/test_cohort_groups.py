@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.cohort.groups import cliffs_delta, group_differences, holm, subject_values
-from fes.cohort.page import EVERY, write_pages
-from fes.cohort.sources import find_sources
-from fes.cohort.store import RECORDINGS, STRIDES, Store
+from fes.cohort.page import EVERY, cliffs_delta, group_differences, holm, subject_values, write_pages
+from fes.cohort.store import RECORDINGS, STRIDES, Store, find_sources
 from fes.cohort.task import DONE, Settings, analyse_one
 from fes.recording import read_recording, write_recording
 

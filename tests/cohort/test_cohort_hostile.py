@@ -21,11 +21,10 @@ from distributed import Client, LocalCluster
 from pyarrow import parquet
 
 from fes.cli import main
-from fes.cli.common.exits import STOPPED, UNUSABLE
+from fes.cli.common import STOPPED, UNUSABLE
 from fes.cohort.engine import Task, cluster, ended_after, run_tasks
 from fes.cohort.page import write_pages
-from fes.cohort.sources import CohortError, Source, find_sources
-from fes.cohort.store import RECORDINGS, STRIDES, Store
+from fes.cohort.store import RECORDINGS, STRIDES, CohortError, Source, Store, find_sources
 from fes.cohort.sweep.grid import combinations_of, parse_axis
 from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
 from fes.recording import RecordingError

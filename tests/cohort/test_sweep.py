@@ -18,7 +18,7 @@ from pyarrow import parquet
 
 from fes.cli import main
 from fes.cohort.engine import Task, cluster, run_tasks
-from fes.cohort.sources import CohortError, find_sources
+from fes.cohort.store import CohortError, find_sources
 from fes.cohort.sweep.grid import (
     Factor,
     Point,
@@ -28,8 +28,7 @@ from fes.cohort.sweep.grid import (
     session_with,
     swept_names,
 )
-from fes.cohort.sweep.page import sweep_page
-from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store
+from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_page, sweep_store
 from fes.cohort.sweep.task import Bench, Patient, burst_scores, bursts_of, keep, patient_scores, truth_scores, try_one
 from fes.cohort.task import DONE, FAILED, Outcome
 from fes.config import ConfigError, load_session

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from replays import SETTINGS, cut, replay, trial
 
-from fes.cli.common.exits import Problem
-from fes.cli.sweep import apply_best
+from fes.cli.cohort import apply_best
+from fes.cli.common import Problem
 from fes.cohort.sweep.table import Combination
 from fes.config import ConfigError, load_session
 from fes.config.thresholds import changed_thresholds, describe_thresholds, with_thresholds_table

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.loop import by_radio as radios
-from drivers.simulated.imu.device import ImuSignal, even_signal
-from drivers.simulated.imu.radio import Radio
+from drivers.simulated.imu.device import ImuSignal, Radio, even_signal
 from fes import limits
 from fes.calibration.recording import calibrate_track
 from fes.estimation.sensor_choice import Calibration

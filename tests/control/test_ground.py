@@ -18,8 +18,7 @@ from fes.config import load_session, validate_session
 from fes.control.controller import Controller
 from fes.estimation.sensor_choice import Calibration
 from fes.hil.closed_loop import one_process, processes
-from fes.hil.closed_loop.demo import patient
-from fes.hil.closed_loop.one_process import run_in_one_process
+from fes.hil.closed_loop.one_process import patient, run_in_one_process
 from fes.hil.closed_loop.processes import Happening, armed_protocol
 from fes.hil.settings import patient_calibration, patient_session_text
 from fes.recording import Recording

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from drivers.simulated.imu.radio import Radio
+from drivers.simulated.imu.device import Radio
 
 
 class Client:

@@ -17,8 +17,7 @@ import pytest
 from drivers.simulated.record import read_record
 from drivers.simulated.spawn import free_bus, why_silent
 from drivers.stimulator.bus import LOOPBACK, bus_off_frame, open_bus
-from drivers.stimulator.canopen_codec import CanOpenSettings, Sdo, encode_download
-from drivers.stimulator.canopen_port import CanOpenStimulator
+from drivers.stimulator.canopen_port import CanOpenSettings, CanOpenStimulator, Sdo, encode_download
 from drivers.stimulator.port import StimulatorLost
 from fes.config import StimulatorDevice
 from fes.signals import StimAlive, StimCommand, StimStatus

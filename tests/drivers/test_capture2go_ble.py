@@ -11,13 +11,12 @@ import bleak_stand_in
 import numpy as np
 import pytest
 
-from drivers.imu import capture2go_ble as ble
 from drivers.imu import capture2go_codec as c2g
+from drivers.imu import capture2go_port as ble
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost, ImuPort
-from drivers.simulated.imu.capture2go import Capture2GoWire
-from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.radio import Radio
+from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu
+from drivers.simulated.imu.serial_wires import Capture2GoWire
 from fes.config.session import ImuDevice
 from fes.signals import NS_PER_S, RawSample
 

@@ -13,8 +13,8 @@ from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_codec import Header, Package
 from drivers.imu.capture2go_port import Capture2GoPort
 from drivers.imu.port import ImuLost
-from drivers.simulated.imu.capture2go import Air, Capture2GoWire, package
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
+from drivers.simulated.imu.serial_wires import Air, Capture2GoWire, package
 from drivers.simulated.lines import LineFaults
 from fes.config.session import ImuDevice
 from fes.control.clock_sync import SensorClock
@@ -127,7 +127,7 @@ def test_one_that_streams_already_begins_anew_and_one_that_records_is_left_alone
     sensor.told.clear()
     with pytest.raises(ImuLost, match="records"):
         MemoryPort(sensor)
-    assert not {Header.CMD_STOP_RECORDING, Header.CMD_SET_MEASUREMENT_MODE} & set(sensor.told)
+    assert not {0x0156, Header.CMD_SET_MEASUREMENT_MODE} & set(sensor.told)  # the first: stop recording
 
 
 def test_a_refusal_and_silence_are_named() -> None:

@@ -12,7 +12,7 @@ from replays import SETTINGS
 from drivers.imu.open import open_imus
 from drivers.imu.port import flag_option, seconds_option, whole_option
 from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
-from drivers.stimulator.canopen_codec import CanOpenSettings
+from drivers.stimulator.canopen_port import CanOpenSettings
 from drivers.stimulator.open import open_stimulator
 from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session, validate_session
 from fes.config.session import ImuDevice, Options

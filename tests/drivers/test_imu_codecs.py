@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from drivers.imu import xbus_codec as xbus
-from drivers.imu import ximu3_codec as ximu3
-from drivers.imu.can_codec import DbcSensor
+from drivers.imu import xbus, ximu3
+from drivers.imu.can_port import DbcSensor
 from drivers.imu.port import LineCounts, LossCounter, StampClock, Unwrapper
-from drivers.imu.xbus_codec import Mid, Xdi
+from drivers.imu.xbus import Mid, Xdi
 from fes.config.session import ImuDevice
 from fes.signals import G_MPS2, RawSample
 

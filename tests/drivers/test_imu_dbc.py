@@ -13,7 +13,7 @@ from dbc_imu import DBC, dbc_options
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.imu.can_codec import DbcSensor
+from drivers.imu.can_port import DbcSensor
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.imu.wire import CAN_RECORD, DbcWire, Reading, Wire, XsensCanWire
 from fes.config.session import ImuDevice

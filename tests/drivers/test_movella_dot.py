@@ -15,13 +15,12 @@ import bleak_stand_in
 import numpy as np
 import pytest
 
-from drivers.imu import movella_dot_codec as dot
-from drivers.imu.movella_dot_port import MovellaDotImu
+from drivers.imu import movella_dot as dot
+from drivers.imu.movella_dot import MovellaDotImu
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost, ImuPort
-from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.movella_dot import INFO, MovellaDotWire
-from drivers.simulated.imu.radio import Radio
+from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu
+from drivers.simulated.imu.serial_wires import INFO, MovellaDotWire
 from drivers.simulated.stimulator.in_process import DeviceLine
 from fes.config import ImuDevice
 from fes.control.clock_sync import SensorClock

@@ -6,10 +6,10 @@ from itertools import combinations
 
 import pytest
 
-from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
-from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
-from drivers.stimulator.sciencemode.framing import FrameDecoder, FrameRejected, Packet, stuff, unstuff
-from drivers.stimulator.sciencemode.sciencemode4_codec import Point, Train, biphasic
+from drivers.stimulator import p24_port as sm4
+from drivers.stimulator import rehastim2_port as sm2
+from drivers.stimulator.p24_port import Point, Train, biphasic
+from drivers.stimulator.sciencemode import FrameDecoder, FrameRejected, Packet, stuff, unstuff
 
 PULSE = biphasic(20.0, 200.0)
 GOLDEN4 = [

@@ -14,13 +14,12 @@ from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.simulated.stimulator.serial_device import SimulatedDevice
+from drivers.stimulator import p24_port as sm4
+from drivers.stimulator import rehastim2_port as sm2
+from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
-from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
-from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator
-from drivers.stimulator.sciencemode.port import ScienceModePort
-from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
+from drivers.stimulator.rehastim2_port import RehaStim2
+from drivers.stimulator.sciencemode import Packet, ScienceModePort
 from fes.config import load_session
 from fes.gate import SafetyGate
 from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame

@@ -11,9 +11,9 @@ from drivers.simulated.record import RecordEntry
 from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
-from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator
-from drivers.stimulator.sciencemode.port import ScienceModePort
-from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
+from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator
+from drivers.stimulator.rehastim2_port import RehaStim2
+from drivers.stimulator.sciencemode import ScienceModePort
 from fes.signals import StimCommand, StimStatus
 from fes.stimulation.dose import DoseLedger
 

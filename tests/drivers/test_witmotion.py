@@ -8,11 +8,11 @@ import struct
 
 import pytest
 
-from drivers.imu import witmotion_codec as wit
+from drivers.imu import witmotion as wit
 from drivers.imu.port import ImuLost
-from drivers.imu.witmotion_port import WitmotionImu
+from drivers.imu.witmotion import WitmotionImu
 from drivers.simulated.imu.device import SimulatedImu
-from drivers.simulated.imu.witmotion import WitmotionWire
+from drivers.simulated.imu.serial_wires import WitmotionWire
 from drivers.simulated.stimulator.in_process import DeviceLine
 from fes.config import ImuDevice
 from fes.gate.freshness import Freshness
@@ -179,7 +179,7 @@ def test_what_is_none_or_will_not_be_set_up_is_refused(wire: type[WitmotionWire]
 
 @pytest.mark.parametrize(
     ("rate_hz", "options", "says"),
-    [(60.0, {}, "a WitMotion sensor has 50, 100, 200"), (100.0, {"baudrate": 9600}, "needs 33000 baud")],
+    [(60.0, {}, "a WitMotion sensor has 50, 100, 200"), (100.0, {"baudrate": 9600}, "need 33000 baud")],
 )
 def test_settings_that_cannot_work_are_refused(rate_hz: float, options: dict[str, object], says: str) -> None:
     bench = Bench()

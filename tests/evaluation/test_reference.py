@@ -20,8 +20,7 @@ from fes.analysis.pipeline import analyse, calibrations_of
 from fes.cli.main import main
 from fes.evaluation.reference.alignment import standing_speed, to_belt
 from fes.evaluation.reference.compare import Estimate, from_analysis
-from fes.evaluation.reference.evaluation import Settings, evaluate
-from fes.evaluation.reference.orientation import evaluate_orientation, read_orientation
+from fes.evaluation.reference.evaluation import Settings, evaluate, evaluate_orientation, read_orientation
 from fes.evaluation.reference.read import companion_references, read_references
 from fes.evaluation.reference.table import MarkerPath, Reference, ReferenceError
 from fes.recording import Recording, Track, read_recording, write_recording

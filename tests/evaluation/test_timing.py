@@ -22,14 +22,20 @@ from fes.config import Session, load_session
 from fes.control.controller import Controller, Decision
 from fes.control.replay import session_for
 from fes.estimation.sensor_choice import Calibration
-from fes.evaluation.timing.baseline import (
+from fes.evaluation.timing.judgement import (
     LATENCY,
     Baseline,
+    Failure,
+    Limits,
+    Measured,
     RecordingBaseline,
+    RecordingTiming,
+    as_baseline,
     baseline_text,
+    judge,
+    measure,
     read_baseline,
 )
-from fes.evaluation.timing.judgement import Failure, Limits, RecordingTiming, as_baseline, judge
 from fes.evaluation.timing.marks import (
     Mark,
     Spread,
@@ -40,7 +46,6 @@ from fes.evaluation.timing.marks import (
     pair_times,
     timing_rows,
 )
-from fes.evaluation.timing.replayed import Measured, measure
 from fes.evaluation.timing.truth import (
     TimingError,
     check_clock,

@@ -12,11 +12,11 @@ from replays import MS, SETTINGS, bursts, cut, edit, keep, replay, trial, write_
 
 from drivers.stimulator.can_port import ByteSink
 from fes.calibration.recording import calibrate_phase_sensors
-from fes.cli.common.exits import Problem
+from fes.cli.common import Problem
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.control.runner import Runner, armed_after, with_ticks
-from fes.evaluation.log_replay import ReplayOutput
+from fes.evaluation.log_comparison import ReplayOutput
 from fes.gate import SafetyGate
 from fes.recording import Recording, RecordingError, Track, read_recording, write_recording
 from fes.recording.tracks import samples_of

@@ -20,15 +20,13 @@ from examples import examples
 from spoiled import no_longer_than, spoiled
 
 from drivers.imu import capture2go_codec as c2g
-from drivers.imu import witmotion_codec as witmotion
-from drivers.imu import xbus_codec as xbus
-from drivers.imu import ximu3_codec as ximu3
-from drivers.imu.can_codec import DbcSensor
-from drivers.stimulator import can_codec, canopen_codec
+from drivers.imu import witmotion, xbus, ximu3
+from drivers.imu.can_port import DbcSensor
+from drivers.stimulator import can_codec, canopen_port
+from drivers.stimulator import p24_port as sm4
+from drivers.stimulator import rehastim2_port as sm2
 from drivers.stimulator.can_codec import Alive, Charge, Command, Result, SessionOpen, Status
-from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
-from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
-from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode import Packet
 from fes.config import ImuDevice
 from fes.recording import RecordingError, read_recording, write_recording
 from fes.session_log import SessionLogError, SessionWriter, read_session
@@ -110,7 +108,7 @@ def can_frame(data: bytes) -> int:
     return 1
 
 
-OPEN_NODE = canopen_codec.CanOpenSettings(5, 0x2000, 0x2001, 0.5, 1.0, 130.0, 500.0)
+OPEN_NODE = canopen_port.CanOpenSettings(5, 0x2000, 0x2001, 0.5, 1.0, 130.0, 500.0)
 OPEN_SDO = OPEN_NODE.sdo(0, 1, 40)
 OPEN_ANSWERS = [
     named(0x585, struct.pack("<BHBI", 0x60, 0x2000, 2, 0)),

@@ -15,11 +15,11 @@ from test_can_port import command as can_command
 from test_sciencemode_ports import KINDS, MS, Bench, command
 
 from drivers.stimulator import can_codec
+from drivers.stimulator import p24_port as sm4
+from drivers.stimulator import rehastim2_port as sm2
 from drivers.stimulator.can_codec import Alive, Charge, Frame, Result, Status
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
-from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
-from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode import Packet
 
 
 class Chatty:

@@ -27,7 +27,6 @@ from drivers.simulated.lines import PtyEnd
 from drivers.simulated.record import RecordEntry, RecordReader, RecordWriter
 from drivers.simulated.stimulator.can_node import NodeLoop
 from drivers.simulated.stimulator.firmware import StimulatorNode
-from drivers.simulated.stimulator.lockstep import RealClock
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import COMMAND_ID, FrameRejected, decode, encode_command
 from drivers.stimulator.can_port import CanStimulator
@@ -638,7 +637,7 @@ def test_the_node_takes_its_faults_while_it_runs() -> None:
 
 
 def test_a_node_loop_knows_the_faults_of_its_line() -> None:
-    loop = NodeLoop(StimulatorNode(1, 0), can.Bus(interface="virtual"), RecordWriter(None), [], RealClock())
+    loop = NodeLoop(StimulatorNode(1, 0), can.Bus(interface="virtual"), RecordWriter(None), [])
     loop._inject("mute", 1.0)
     with pytest.raises(ValueError):
         loop._inject("mute", -1.0)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no
 
 SESSION = """
 import time
-from fes.cli.common.progress import Interrupt
+from fes.cli.common import Interrupt
 with Interrupt() as interrupt:
     print("runs", flush=True)
     try:

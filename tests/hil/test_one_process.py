@@ -14,11 +14,10 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from fes.cli import demo as demo_loop
-from fes.cli.common.loop_view import LoopView
+from fes.cli.demo import LoopView
 from fes.cli.demo import command as demo
 from fes.config import Bus, StimulatorDevice, load_session, validate_session
-from fes.hil.closed_loop.demo import patient, result_of
-from fes.hil.closed_loop.one_process import NotifyingLog, run_in_one_process
+from fes.hil.closed_loop.one_process import NotifyingLog, patient, result_of, run_in_one_process
 from fes.hil.closed_loop.processes import WALK_S, Happening, armed_protocol
 from fes.hil.settings import patient_calibration, patient_session_text
 from fes.session_log import SessionLogError, read_session

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.imu import xbus_codec as xbus
+from drivers.imu import xbus
 from drivers.simulated.record import Pulse, PulseInlet, PulseOutlet, RecordEntry
 from drivers.simulated.stimulator.firmware import StimulatorNode
 from fes.hil.closed_loop.patient_process import HELD, PatientDevice

@@ -9,9 +9,9 @@ import pytest
 from drivers.simulated.imu.device import recorded_signal
 from fes.calibration.recording import SensorCalibrations, load
 from fes.cli import main
-from fes.cli.replay.preparation import prepared
+from fes.cli.replay.log import prepared
 from fes.config import StimulatorDevice, load_session
-from fes.hil.recorded_walker import WALKS_S, recorded_walker
+from fes.hil.devices import WALKS_S, recorded_walker
 from fes.hil.settings import STANDS_S, session_text
 from fes.recording import Recording, RecordingError, read_recording
 from fes.signals import NS_PER_S

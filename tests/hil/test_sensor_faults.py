@@ -21,14 +21,13 @@ from click.testing import CliRunner
 
 from drivers.imu.port import ImuLost, ImuPort
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.faulted_port import FaultedImu
-from drivers.simulated.imu.faults import LASTING
+from drivers.simulated.imu.faults import LASTING, FaultedImu
 from drivers.simulated.imu.wire import LSL_RECORD, LslWire
 from drivers.simulated.lines import LineFaults, MessageFaults
 from drivers.stimulator.open import SERIAL
 from drivers.stimulator.port import StimulatorLost
 from fes.cli import main
-from fes.cli.common.exits import UNUSABLE, Problem
+from fes.cli.common import UNUSABLE, Problem
 from fes.cli.run.devices import open_sensors
 from fes.config import ConfigError, ImuDevice, Session, StimulatorDevice, load_session
 from fes.extensions import GROUPS
@@ -43,7 +42,7 @@ from fes.live.sensors import Imu
 from fes.signals import RawSample, StimStatus, Tick
 
 ROOT = Path(__file__).resolve().parents[2]
-WRAPPER = "drivers.simulated.imu.faulted_port"
+WRAPPER = "drivers.simulated.imu.faults"
 PERIOD_NS = 10 * MS
 DEVICE = ImuDevice(sensor=FOOT, device="xbus", port="x", rate_hz=100.0, acc_range_g=16.0, gyr_range_dps=2000.0)
 OTHER = DEVICE.model_copy(update={"sensor": "left_foot"})
@@ -353,7 +352,7 @@ def test_a_session_of_fes_run_reaches_no_fault_by_whatever_it_imports_or_names()
                 naming.add(name)
             elif isinstance(node, ast.Call) and any(keyword.arg == "obj" for keyword in node.keywords):
                 handing.add(name)
-    for start in ("fes.cli.run.command", "fes.cli.run.exercise", "fes.cli.run.supervisor", "drivers.imu.open"):
+    for start in ("fes.cli.run.command", "fes.cli.run.supervisor", "drivers.imu.open"):
         assert not reached(start, imported) & {WRAPPER, "fes.hil.sensor_faults"}, start
     assert WRAPPER in reached("fes.hil.sensor_faults", imported)
     assert naming == {"fes.hil.controller"}, "the one program that is started with faults"

@@ -12,9 +12,9 @@ from replays import SETTINGS
 from fes.config import ConfigError, Session, load_exercise, load_session
 from fes.control.controller import Controller
 from fes.gate import gate_of
+from fes.live.calibrating import ExerciseClock
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand, State
-from fes.live.exercise import ExerciseClock
 from fes.live.operator import Operator
 from fes.live.session import live_header
 from fes.report.findings import findings

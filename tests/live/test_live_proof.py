@@ -8,7 +8,7 @@ from test_live_operator import FOOT, RATE_HZ, Bench
 
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import State
-from fes.live.proof import ASKED
+from fes.live.operator import ASKED
 from fes.signals import ImuSample, SystemFault
 
 LOST = f"{FOOT}: sensor lost: unplugged"

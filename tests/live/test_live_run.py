@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from replays import SETTINGS
 
-from fes.cli.common.exits import UNUSABLE
+from fes.cli.common import UNUSABLE
 from fes.cli.run.command import command
 from fes.cli.run.devices import stop_switch_settings
 from fes.config import ConfigError

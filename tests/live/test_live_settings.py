@@ -16,7 +16,7 @@ from test_live_operator import CALIBRATION, FOOT, settings
 from test_live_run import SENSOR, run
 
 from drivers.stimulator.open import open_lead_detected_from_ma
-from fes.cli.common.exits import UNUSABLE
+from fes.cli.common import UNUSABLE
 from fes.cli.replay.log import repeat
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, Session, StimulatorDevice, load_session

@@ -32,14 +32,14 @@ from fes.live.commands import (
 from fes.live.commands import CommandKind as Kind
 from fes.live.dashboard.access import Access
 from fes.live.dashboard.frames import DETAIL, LARGEST, read_detail
-from fes.live.dashboard.message_handler import MessageHandler
+from fes.live.dashboard.server import MessageHandler
 from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.status import Status
 from fes.report.page import render_report
 from fes.report.summary import summarise
 from fes.session_log import Note, SessionWriter, read_session
 from fes.session_log.codec import encode
-from fes.session_log.export.tables import to_csv
+from fes.session_log.export import to_csv
 from fes.session_log.framing import MAGIC, LogScan, framed
 from fes.signals import NS_PER_S, StrideResult
 from fes.walk_record import MARK

@@ -31,8 +31,8 @@ from fes.live.dashboard.frames import (
     read_detail,
     read_hello,
 )
-from fes.live.dashboard.message_handler import COMMANDS_A_SECOND, MessageHandler, Outcome
 from fes.live.dashboard.replay import ReplayLog
+from fes.live.dashboard.server import COMMANDS_A_SECOND, MessageHandler, Outcome
 from fes.live.dashboard.stream import AT_ONCE, LEVELS_KEPT, STRIDES_KEPT, DashboardCommands, DashboardStream
 from fes.live.dashboard.stream import RESUME_MESSAGE as RESUME
 from fes.live.status import FootStatus, Status

@@ -18,8 +18,19 @@ from live_parts import MS, FakeStimulator, Lost, SetClock
 from fes.config import ConfigError
 from fes.gate import SafetyGate
 from fes.live.inputs import StopFile
-from fes.live.supervised_line import SupervisedLine, is_due
-from fes.live.supervision import OWN, UNSENT, Datagram, LineOpened, Value, What, datagram, packed, unpacked
+from fes.live.supervision import (
+    OWN,
+    UNSENT,
+    Datagram,
+    LineOpened,
+    SupervisedLine,
+    Value,
+    What,
+    datagram,
+    is_due,
+    packed,
+    unpacked,
+)
 from fes.live.supervisor import LOOK_NS, MOST_VALUES_PER_S, SILENT_NS, PortOpened, Supervisor, serve
 from fes.session_log import Received
 from fes.signals import (

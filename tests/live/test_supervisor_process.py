@@ -35,7 +35,7 @@ from pathlib import Path
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus, load_session
 from fes.live.realtime import fixed_priority
-from fes.live.supervised_line import SupervisorProcess
+from fes.live.supervision import SupervisorProcess
 from fes.signals import ImuSample, OperatorAct, OperatorAction, StimCommand
 
 settings, channel, port, stop_file, evil = sys.argv[1:]

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.imu import capture2go_codec as c2g
-from drivers.imu import xbus_codec as xbus
-from drivers.imu import ximu3_codec as ximu3
-from drivers.imu.can_codec import DbcSensor
+from drivers.imu import xbus, ximu3
+from drivers.imu.can_port import DbcSensor
 from fes.config.session import ImuDevice
 from fes.control.clock_sync import SensorClock
 

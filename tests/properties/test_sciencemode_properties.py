@@ -9,11 +9,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from drivers.stimulator import p24_port as sm4
+from drivers.stimulator import rehastim2_port as sm2
+from drivers.stimulator.p24_port import Point, Train
 from drivers.stimulator.port import PulseTrain
-from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
-from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
-from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.sciencemode4_codec import Point, Train
+from drivers.stimulator.sciencemode import Packet
 
 oracle: Any = pytest.importorskip("science_mode_4", reason="the science-mode-4 package is not installed")
 

@@ -17,8 +17,7 @@ from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.simulated.stimulator.serial_device import SimulatedDevice
-from fes.qualify.evidence import finite
-from fes.qualify.judging import findings
+from fes.qualify.evidence import findings, finite
 from fes.qualify.sensor import SensorBench
 from fes.qualify.simulated import (
     SENSORS,

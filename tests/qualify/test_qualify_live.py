@@ -11,8 +11,7 @@ from drivers.imu.open import open_imus
 from drivers.simulated.spawn import spawn_device, spawn_imu
 from drivers.stimulator.open import open_session
 from fes.qualify import sensor, stimulator
-from fes.qualify.bench import NotQualified, RealTime, TerminalPerson
-from fes.qualify.sensor import SensorBench
+from fes.qualify.sensor import NotQualified, RealTime, SensorBench, TerminalPerson
 from fes.qualify.simulated import sensor_settings, stimulator_session
 from fes.qualify.stimulator import StimulatorBench
 from fes.signals import NS_PER_S

@@ -15,8 +15,14 @@ from click.testing import CliRunner, Result
 
 from fes.cli import main
 from fes.evaluation.agreement import difference, mean_of
-from fes.report.comparison.figures import height_curve, pitch_curve, sketch
-from fes.report.comparison.page import SessionComparison, compare_sessions, render_comparison
+from fes.report.comparison.page import (
+    SessionComparison,
+    compare_sessions,
+    height_curve,
+    pitch_curve,
+    render_comparison,
+    sketch,
+)
 from fes.report.comparison.rows import detectable_change
 from fes.report.comparison.session import (
     AS_DECIDED,

@@ -20,15 +20,13 @@ from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
 from fes.cli.main import main
 from fes.recording import read_recording
-from fes.report.figures.space import projected, space_figure
-from fes.report.figures.strides import butterfly_figures
+from fes.report.figures.strides import butterfly_figures, projected, space_figure
 from fes.report.figures.timeseries import chart_data
 from fes.report.gait import foot_curves, gait_of_strides
-from fes.report.glossary import terms
 from fes.report.hemiparetic import hemiparetic_section
 from fes.report.html import css_text
 from fes.report.page import render_report
-from fes.report.parameter_table import flags_touching, parameter_rows, temporal_symmetry, walk_rows
+from fes.report.parameter_table import flags_touching, parameter_rows, temporal_symmetry, terms, walk_rows
 from fes.report.quality import (
     CLIPPED_ACC,
     CLIPPED_GYR,

@@ -18,7 +18,7 @@ from shank_walks import shank_walk
 from test_one_process import run
 
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of
-from fes.cli.common.show import latched
+from fes.cli.show import latched
 from fes.recording import Recording, write_recording
 from fes.recording.arrays import recording_from_arrays
 from fes.recording.chunks import Chunk, cut_into_chunks

@@ -16,9 +16,9 @@ from page_browser import CHROMIUM, Page, chromium
 from replays import SETTINGS, bursts, cut, replay, trial
 
 from fes.cli import main
-from fes.evaluation.guard_trace import FINEST_NS, MOST_ROWS, guard_traces
 from fes.recording import write_recording
 from fes.report.explanation import cell
+from fes.report.moments import FINEST_NS, MOST_ROWS, guard_traces
 from fes.report.page import write_report
 from fes.session_log import SessionRecord
 from fes.signals import NS_PER_S

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.live.operator import NO_STOP
-from fes.report.by_hand import hand_rows
 from fes.report.findings import findings, merged
-from fes.report.key_numbers import share_between
+from fes.report.parameter_table import share_between
 from fes.report.stimulation import build_timeline, command_columns, phases_between
+from fes.report.strides import hand_rows
 from fes.report.summary import summarise
 from fes.report.text import plain, readable
 from fes.session_log import Note, SampleArrays, SessionRecord

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from report_records import channel, header, walk
 
-from fes.report.figures import swing
+from fes.report.figures import strides
 from fes.report.figures.svg import Figure, Plot
 from fes.report.page import render_report
 from fes.report.summary import summarise_session
@@ -48,7 +48,7 @@ def session(roll_deg: Callable[[int], float] = lambda number: 0.0, count: int = 
 
 
 def figures_of(record: SessionRecord) -> list[Figure]:
-    return swing.swing_figures(summarise_session(record))
+    return strides.swing_figures(summarise_session(record))
 
 
 def test_pitch_and_roll_of_the_stimulated_foot_with_the_target_it_has() -> None:
@@ -58,8 +58,8 @@ def test_pitch_and_roll_of_the_stimulated_foot_with_the_target_it_has() -> None:
         assert "Dashed: the first 5 stimulated strides; solid: the last 10; mean ± SD." in figure.caption
     assert "Green: the target at contact, 4 to 25°." in pitch.caption
     assert "Green" not in roll.caption
-    assert swing.BAND_COLOR in pitch.svg
-    assert swing.BAND_COLOR not in roll.svg
+    assert strides.BAND_COLOR in pitch.svg
+    assert strides.BAND_COLOR not in roll.svg
     page = render_report(session())
     assert page.count("Roll through the swing, left foot") >= 1
     assert "through the swing, right foot" not in page
@@ -82,7 +82,7 @@ def test_the_mean_is_of_the_first_five_and_of_the_last_ten(monkeypatch: pytest.M
         def line(self, x: FloatArray, y: FloatArray, color: str, **how: Any) -> None:
             drawn.append((self.label, x, y))
 
-    monkeypatch.setattr(swing, "Plot", Seen)
+    monkeypatch.setattr(strides, "Plot", Seen)
     record = session(lambda number: 10.0 if number < 2 else float(number), count=30)  # stimulated: 2 … 29
     figures_of(record)
     first, last = (y for label, _, y in drawn if label.startswith("Roll"))

@@ -18,8 +18,7 @@ from pyarrow import parquet
 
 from fes.cli.main import main
 from fes.session_log import Note, Received, SessionRecord, SessionWriter, read_session
-from fes.session_log.export.mcap_file import epoch_offset_ns, to_mcap
-from fes.session_log.export.tables import SINGLES, Column, Exported, batches, to_csv, to_parquet
+from fes.session_log.export import SINGLES, Column, Exported, batches, epoch_offset_ns, to_csv, to_mcap, to_parquet
 from fes.signals import (
     FootSwitchEvent,
     ImuSample,

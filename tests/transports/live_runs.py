@@ -36,7 +36,7 @@ from drivers.simulated.spawn import (
 from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
 from fes.config import Bus
-from fes.live.proof import ASKED
+from fes.live.operator import ASKED
 from fes.live.status import Status
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord

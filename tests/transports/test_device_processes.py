@@ -12,8 +12,16 @@ from pathlib import Path
 import pytest
 
 from drivers.imu.port import ImuLost
-from drivers.simulated.process_handle import ProcessHandle
-from drivers.simulated.spawn import NodeFailed, free_bus, spawn_device, spawn_imu, spawn_link, spawn_node, why_silent
+from drivers.simulated.spawn import (
+    NodeFailed,
+    ProcessHandle,
+    free_bus,
+    spawn_device,
+    spawn_imu,
+    spawn_link,
+    spawn_node,
+    why_silent,
+)
 from drivers.stimulator.bus import LOOPBACK
 from fes.config import Bus
 from fes.hil.closed_loop.bench import spawn_patient

@@ -12,9 +12,9 @@ from live_runs import bus_text, sensor_text
 from replays import SETTINGS
 
 from drivers.simulated.spawn import free_bus, spawn_device, spawn_imu, spawn_node, why_silent
-from fes.cli.common.exits import FAILED, OK
-from fes.cli.doctor import devices as doctor_devices
-from fes.cli.doctor.command import Verdict
+from fes.cli import doctor as doctor_devices
+from fes.cli.common import FAILED, OK
+from fes.cli.doctor import Verdict
 from fes.cli.main import main
 from fes.config import load_session
 

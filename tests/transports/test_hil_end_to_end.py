@@ -26,7 +26,7 @@ from drivers.simulated.spawn import (
     spawn_node,
     why_silent,
 )
-from fes.cli.common.exits import FAILED, INTERRUPTED, OK, UNUSABLE
+from fes.cli.common import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
 from fes.hil.results import MS, PERIOD_NS
 from fes.hil.settings import FOOT, RATE_HZ, STANDS_S, session_text, walker

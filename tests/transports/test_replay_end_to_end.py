@@ -17,7 +17,7 @@ from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
 
 from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.spawn import NodeHandle, free_bus, spawn_node, why_silent
-from fes.cli.common.exits import FAILED, INTERRUPTED, OK, UNUSABLE
+from fes.cli.common import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.cli.replay.log import repeat
 from fes.session_log import read_session
 
@@ -252,7 +252,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_lockstep_replay_is_delivered_as_sent_and_the_same_twice(recording: Path, tmp_path: Path) -> None:
+def test_a_replay_by_recorded_time_is_delivered_as_sent_and_the_same_twice(recording: Path, tmp_path: Path) -> None:
     runs = []
     for _ in range(2):
         done = run_fes("replay", recording, "--session", SETTINGS, "--no-report", "--json", "--out", tmp_path)

@@ -38,7 +38,7 @@ from processes import gone_after_s
 from replays import MS
 
 from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, free_bus, spawn_device, spawn_node, why_silent
-from fes.cli.common.exits import BROKEN, OK, STOPPED
+from fes.cli.common import BROKEN, OK, STOPPED
 from fes.cli.replay.log import repeat
 from fes.session_log import read_session
 

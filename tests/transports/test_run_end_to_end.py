@@ -13,7 +13,7 @@ from processes import gone_after_s
 from replays import MS
 
 from drivers.simulated.spawn import free_bus, why_silent
-from fes.cli.common.exits import INTERRUPTED, OK, STOPPED
+from fes.cli.common import INTERRUPTED, OK, STOPPED
 from fes.cli.replay.log import repeat
 from fes.session_log import read_session
 

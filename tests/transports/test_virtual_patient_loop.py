@@ -41,8 +41,7 @@ from fes.hil.attempts import run_campaign
 from fes.hil.baseline import Baseline
 from fes.hil.campaign_bench import LOST_TIME, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
-from fes.hil.closed_loop.demo import CURRENT_MA, patient
-from fes.hil.closed_loop.one_process import run_in_one_process
+from fes.hil.closed_loop.one_process import CURRENT_MA, patient, run_in_one_process
 from fes.hil.closed_loop.processes import ClosedLoopRun, SwitchedOff, armed_protocol, run_between_processes
 from fes.hil.devices import start_devices
 from fes.hil.results import MS

@@ -1,7 +1,7 @@
 """A simulated inertial sensor as a process of its own: ``python -m drivers.simulated.imu.process --device xbus``.
 
 It owns its end of a pseudo-terminal, a TCP or UDP port, a CAN bus or an LSL outlet, prints in one JSON line how it is
-reached, and takes faults on stdin (:mod:`drivers.simulated.process_end`). It keeps its beat by absolute deadlines.
+reached, and takes faults on stdin (:mod:`drivers.simulated.lines`). It keeps its beat by absolute deadlines.
 """
 
 import argparse
@@ -20,8 +20,16 @@ import can
 from drivers.simulated.imu import wire as wires
 from drivers.simulated.imu.device import SimulatedImu, recorded_signal, walking_signal
 from drivers.simulated.imu.serial_wires import SERIAL_WIRES, on_its_line, serial_wire
-from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, TcpEnd, UdpEnd
-from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
+from drivers.simulated.lines import (
+    DeviceEnd,
+    DeviceLoop,
+    PtyEnd,
+    TcpEnd,
+    UdpEnd,
+    become_real_time,
+    publish_ready,
+    stop_signals,
+)
 from drivers.stimulator.bus import open_bus
 from fes.config import Bus
 

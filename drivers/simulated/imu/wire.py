@@ -13,9 +13,8 @@ from typing import Final
 
 from cantools.database.can import Database, Message, Signal
 
-from drivers.imu import xbus_codec as xbus
-from drivers.imu import ximu3_codec
-from drivers.imu.xbus_codec import Mid, Xdi
+from drivers.imu import xbus, ximu3
+from drivers.imu.xbus import Mid, Xdi
 from fes.signals import G_MPS2, Vector3
 
 CAN_RECORD: Final = struct.Struct(">IB8s")  # identifier, length, data
@@ -129,8 +128,8 @@ class Ximu3Wire(Wire):
         gx, gy, gz = reading.gyr_radps
         ax, ay, az = reading.acc_mps2
         gyr = (math.degrees(gx), math.degrees(gy), math.degrees(gz))
-        message = ximu3_codec.Inertial(reading.t_device_ns // 1000, gyr, (ax / G_MPS2, ay / G_MPS2, az / G_MPS2))
-        return [ximu3_codec.encode(message)]
+        message = ximu3.Inertial(reading.t_device_ns // 1000, gyr, (ax / G_MPS2, ay / G_MPS2, az / G_MPS2))
+        return [ximu3.encode(message)]
 
 
 @dataclass(frozen=True)
@@ -176,8 +175,7 @@ class DbcWire(Wire):
     carry is sent as the signal's end. A signal of integers has no NaN: a sample with one is not sent. Signals that no
     option names are sent as 0.
 
-    Raises:
-        ValueError: the DBC cannot be read, or an option does not fit it; the message names the option.
+    ValueError: the DBC cannot be read, or an option does not fit it; the message names the option.
     """
 
     def __init__(self, options: Mapping[str, str | int | float | bool]) -> None:

@@ -12,6 +12,7 @@ import contextlib
 import secrets
 import select
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,16 +20,15 @@ from typing import Final
 
 import can
 
-from drivers.simulated import process_end
+from drivers.simulated import lines
 from drivers.simulated.imu.wire import CAN_RECORD
-from drivers.simulated.lines import LINE_FAULTS, LineFaults
-from drivers.simulated.process_end import STDIN, CommandReader
+from drivers.simulated.lines import LINE_FAULTS, STDIN, CommandReader, LineFaults
 from drivers.simulated.record import PulseOutlet, RecordWriter
 from drivers.simulated.stimulator.firmware import StimulatorNode, parse_faults
-from drivers.simulated.stimulator.lockstep import SIM_TIME_ID, BusClock, RealClock
 from drivers.stimulator.bus import MULTICAST, BusError, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS, Frame
 from fes.config import Bus
+from fes.signals import NS_PER_S
 
 FRAMES_AT_ONCE: Final = 64
 READ_ERRORS_IN_A_ROW: Final = 100
@@ -46,30 +46,29 @@ class NodeLoop:
     bus: can.BusABC
     record: RecordWriter
     stop: Sequence[int]
-    clock: RealClock
     pulses: PulseOutlet = field(default_factory=lambda: PulseOutlet(None))
 
     def __post_init__(self) -> None:
         self._read_errors = 0
         self._faults = LineFaults()
-        self._commands = CommandReader(process_end.fault_commands(self._inject), self.clock.now_ns)
+        self._commands = CommandReader(lines.fault_commands(self._inject))
 
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
 
-        Raises:
-            BusBroken: reading failed a hundred times in a row.
+        BusBroken: reading failed a hundred times in a row.
         """
         try:
             while self._turn():
                 pass
         finally:
-            self.node.power_off(self.clock.now_ns())
+            self.node.power_off(time.monotonic_ns())
             self.record.write(self.node.take_record())
 
     def _turn(self) -> bool:
-        self._put_out(self.node.advance(self.clock.now_ns()))
-        wait_s = self.clock.wait_s(min(self.node.next_deadline_ns(), self._faults.next_deadline_ns()))
+        self._put_out(self.node.advance(time.monotonic_ns()))
+        deadline_ns = min(self.node.next_deadline_ns(), self._faults.next_deadline_ns())
+        wait_s = max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S)
         ready, _, _ = select.select([self.bus.fileno(), *self.stop], [], [], wait_s)
         for descriptor in self.stop:  # a signal ends the node, so does the end of stdin, but not what is sent there
             if descriptor in ready and (descriptor != STDIN or not self._commands.read()):
@@ -81,17 +80,12 @@ class NodeLoop:
                     break
                 if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
                     continue
-                data = bytes(message.data)
-                if message.arbitration_id == SIM_TIME_ID:
-                    self.clock.set_time(data)
-                    self._put_out(self.node.advance(self.clock.now_ns()))
-                else:
-                    self._put_out(self.node.receive(self.clock.now_ns(), message.arbitration_id, data))
+                self._put_out(self.node.receive(time.monotonic_ns(), message.arbitration_id, bytes(message.data)))
         return True
 
     def _put_out(self, frames: list[Frame]) -> None:
         self.pulses.send_made(channel.made for channel in self.node.channels)
-        now_ns = self.clock.now_ns()
+        now_ns = time.monotonic_ns()
         self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
         for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):
             # a node whose answers do not get out still keeps its leases; the controller sees the silence
@@ -115,7 +109,7 @@ class NodeLoop:
         if name in LINE_FAULTS:
             self._faults.set(name, value)
         else:
-            self.node.set_fault(self.clock.now_ns(), name, value)
+            self.node.set_fault(time.monotonic_ns(), name, value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -130,9 +124,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
     parser.add_argument("--pulses", type=Path, help="send each pulse to the socket of this name")
     parser.add_argument("--faults", default="", help="electrode=CH,weak=CH,drop=N,reboot=SECONDS,mute=SECONDS")
-    parser.add_argument(
-        "--clock", choices=("real", "bus"), default="real", help="bus: a replay on a simulated bus sends the time"
-    )
     parser.add_argument("--until-stdin-closes", action="store_true", help="end when the starting process is gone")
     options = parser.parse_args(arguments)
     boot_id = secrets.randbelow(2**16) if options.boot_id is None else options.boot_id
@@ -144,20 +135,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--faults: {error}")
     port: dict[str, str | int | float | bool] = {} if options.port is None else {"port": options.port}
     settings = Bus(interface=options.interface, channel=options.channel, options=port)
-    signalled = process_end.stop_signals()
+    signalled = lines.stop_signals()
     stop = [signalled.fileno()] + ([STDIN] if options.until_stdin_closes else [])
     try:
         record = RecordWriter(options.record)
-        bus = open_bus(settings, CONTROLLER_IDS | {SIM_TIME_ID} if options.clock == "bus" else CONTROLLER_IDS)
+        bus = open_bus(settings, CONTROLLER_IDS)
     except (BusError, OSError) as error:
         print(f"can_node: {error}", file=sys.stderr)
         return 2
-    real_time = process_end.become_real_time()
-    clock = BusClock() if options.clock == "bus" else RealClock()
-    node = StimulatorNode(boot_id, clock.now_ns(), faults)
-    process_end.publish_ready(boot_id=boot_id, real_time=real_time)
+    real_time = lines.become_real_time()
+    node = StimulatorNode(boot_id, time.monotonic_ns(), faults)
+    lines.publish_ready(boot_id=boot_id, real_time=real_time)
     try:
-        NodeLoop(node, bus, record, stop, clock, PulseOutlet(options.pulses)).run()
+        NodeLoop(node, bus, record, stop, PulseOutlet(options.pulses)).run()
     except BusBroken as error:
         print(f"can_node: {error}", file=sys.stderr)
         return 1

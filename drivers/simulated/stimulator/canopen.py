@@ -16,10 +16,10 @@ import can
 import canopen
 from canopen.objectdictionary import UNSIGNED8, ObjectDictionary, ODArray, ODVariable
 
-from drivers.simulated.process_end import publish_ready
+from drivers.simulated.lines import publish_ready
 from drivers.simulated.record import RecordEntry, RecordWriter
 from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
-from drivers.stimulator.canopen_codec import SYNC_ID
+from drivers.stimulator.canopen_port import SYNC_ID
 from fes.config import Bus
 
 CURRENT_INDEX: Final = 0x3200

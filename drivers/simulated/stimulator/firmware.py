@@ -56,8 +56,7 @@ class NodeFaults:
 def parse_faults(text: str) -> NodeFaults:
     """``"electrode=2,reboot=1.5"`` → faults; "" → none.
 
-    Raises:
-        ValueError: an unknown name or a value that is no number as this fault needs it.
+    ValueError: an unknown name or a value that is no number as this fault needs it.
     """
     values, names = dict(parse_fault_values(text)), ", ".join(NodeFaults.__dataclass_fields__)
     for name, value in values.items():
@@ -69,11 +68,7 @@ def parse_faults(text: str) -> NodeFaults:
 
 
 def parse_fault_values(text: str) -> list[tuple[str, float]]:
-    """``"electrode=2,delay=0.2"`` → names and values; "" → none.
-
-    Raises:
-        ValueError: not of that form.
-    """
+    """``"electrode=2,delay=0.2"`` → names and values; "" → none. ValueError: not of that form."""
     faults: list[tuple[str, float]] = []
     for item in filter(None, (part.strip() for part in text.split(","))):
         name, equals, value = item.partition("=")
@@ -231,8 +226,7 @@ class StimulatorNode:
     def set_fault(self, t_ns: int, name: str, value: float) -> None:
         """Bring a fault of :class:`NodeFaults` about while the node runs; ``reboot`` after ``value`` seconds.
 
-        Raises:
-            ValueError: no such fault.
+        ValueError: no such fault.
         """
         if name == "reboot":
             self._reboot_ns = t_ns + int(value * NS_PER_S)

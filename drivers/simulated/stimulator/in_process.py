@@ -15,6 +15,7 @@ from drivers.simulated.stimulator.firmware import NodeFaults, StimulatorNode
 from drivers.stimulator.can_codec import Frame
 from drivers.stimulator.can_port import CanStimulator, Handshake
 from drivers.stimulator.port import StimulatorLost
+from fes.limits import MAX_VALIDITY_MS
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 from fes.simulation.forward.settings import DeliveredPulse
 
@@ -114,9 +115,17 @@ class InProcessStimulator(CanStimulator):
     Every pulse that the node makes is kept until :meth:`take_pulses`: what a virtual patient feels.
     """
 
-    def __init__(self, session_id: int, boot_id: int = 1, t_ns: int = 0, faults: NodeFaults | None = None) -> None:
+    def __init__(
+        self,
+        session_id: int,
+        boot_id: int = 1,
+        t_ns: int = 0,
+        faults: NodeFaults | None = None,
+        *,
+        validity_ms: int = MAX_VALIDITY_MS,
+    ) -> None:
         self.bus = NodeBus(boot_id, t_ns, faults)
-        super().__init__(self.bus, session_id)
+        super().__init__(self.bus, session_id, validity_ms=validity_ms)
 
     def start(self, t_ns: int) -> Handshake:
         """Open the session at ``t_ns``."""

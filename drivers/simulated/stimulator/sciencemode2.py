@@ -12,9 +12,9 @@ from typing import Final
 
 from drivers.simulated.stimulator.firmware import NEVER, NS_PER_MS
 from drivers.simulated.stimulator.serial_device import CHANNELS, Repeater, SimulatedDevice, run_device
-from drivers.stimulator.sciencemode import sciencemode2_codec as codec
-from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.sciencemode2_codec import Code
+from drivers.stimulator import rehastim2_port as codec
+from drivers.stimulator.rehastim2_port import Code
+from drivers.stimulator.sciencemode import Packet
 
 WATCHDOG_NS: Final = 1200 * NS_PER_MS
 INIT_EVERY_NS: Final = 500 * NS_PER_MS

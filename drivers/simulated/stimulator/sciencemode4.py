@@ -14,9 +14,9 @@ from typing import Final
 
 from drivers.simulated.stimulator.firmware import NEVER, NS_PER_MS
 from drivers.simulated.stimulator.serial_device import CHANNELS, Repeater, SimulatedDevice, run_device
-from drivers.stimulator.sciencemode import sciencemode4_codec as codec
-from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.sciencemode4_codec import Code, Point, Result
+from drivers.stimulator import p24_port as codec
+from drivers.stimulator.p24_port import Code, Point, Result
+from drivers.stimulator.sciencemode import Packet
 
 QUEUE_DEPTH: Final = 10
 WATCHDOG_NS: Final = 2000 * NS_PER_MS

@@ -1,7 +1,7 @@
 """What the simulated serial stimulators have in common: the device itself, and the process that runs one.
 
 The device is bytes and time in, messages and pulses out; no I/O, no clock. Its process prints one JSON line when it is
-ready, with the port that the host opens, and takes faults on stdin (:mod:`drivers.simulated.process_end`). It ends on
+ready, with the port that the host opens, and takes faults on stdin (:mod:`drivers.simulated.lines`). It ends on
 SIGTERM, SIGINT, or when stdin closes (``--until-stdin-closes``). What it delivered is in its record, pulse by pulse, by
 CLOCK_MONOTONIC.
 """
@@ -15,11 +15,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from drivers.simulated.lines import Device, DeviceEnd, DeviceLoop, PtyEnd, TcpEnd
-from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
+from drivers.simulated.lines import (
+    Device,
+    DeviceEnd,
+    DeviceLoop,
+    PtyEnd,
+    TcpEnd,
+    become_real_time,
+    publish_ready,
+    stop_signals,
+)
 from drivers.simulated.record import PulseOutlet, RecordEntry, RecordWriter
 from drivers.simulated.stimulator.firmware import NEVER, parse_fault_values
-from drivers.stimulator.sciencemode.framing import FrameDecoder, Packet
+from drivers.stimulator.sciencemode import FrameDecoder, Packet
 from fes.signals import NS_PER_S
 
 CHANNELS: Final = 8

@@ -1,6 +1,8 @@
 """``fes replay``: a recording, or a session log, through the same loop as a live session."""
 
 import time
+from collections import deque
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,29 +14,131 @@ from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import ANSWER_WITHIN_NS, StimulatorLost
 from fes.calibration.recording import SensorCalibrations
-from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, Number, choice, given_options, out_option, utc_now
-from fes.cli.common.progress import Interrupt, replay_progress
-from fes.cli.common.show import show, show_latched
+from fes.cli.common import (
+    FAILED,
+    LOG_SUFFIX,
+    PATH,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    choice,
+    fail,
+    failing,
+    fresh_folder,
+    given_options,
+    interrupted,
+    out_option,
+    replay_progress,
+    utc_now,
+)
 from fes.cli.replay import stimulators
-from fes.cli.replay.log import controller_and_gate, replay_log
-from fes.cli.replay.preparation import prepared
+from fes.cli.replay.log import controller_and_gate, prepared, replay_log
+from fes.cli.replay.stimulators import LoggedSink
 from fes.cli.run import command as run
-from fes.cli.run.devices import dashboard_options
+from fes.cli.run.devices import dashboard_options, open_dashboard
+from fes.cli.show import show, show_latched
 from fes.config import ConfigError, Session
 from fes.control.clock_sync import SensorClock
-from fes.control.replay import digest, identity, log_header, session_for
-from fes.control.runner import CLOSING_S, Runner, armed_after, paced, with_ticks
+from fes.control.controller import CURRENT_STEP_MA, Controller
+from fes.control.replay import digest, identity, log_header, session_for, settings_of
+from fes.control.runner import CLOSING_S, Log, Runner, armed_after, paced, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
+from fes.evaluation.log_comparison import ReplayOutput
+from fes.gate import SafetyGate
+from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.live.inputs import Terminal, standard_keys
 from fes.live.sensors import SensorStream
-from fes.live.supervised_line import SupervisorProcess
+from fes.live.supervision import SupervisorProcess
 from fes.recording import Recording, RecordingError
 from fes.recording.tracks import samples_of
-from fes.session_log import SessionLogError, SessionWriter, read_session
+from fes.session_log import Note, SessionLogError, SessionWriter, iter_events, read_session
 from fes.signals import SHANK_SENSORS, Event
+from fes.walk_record import MARK
+
+# --- ``fes replay --dashboard``: a recording, or a session log, played to a browser -------------------------
+
+
+class ReplayDashboard:
+    """The dashboard of a replay: ``log`` for its loop, ``clock`` to pace it by; :meth:`publish` after every event.
+
+    Problem: it cannot be served.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        session: Session,
+        calibrations: Mapping[str, Calibration],
+        header: Mapping[str, Any],
+        log: Log,
+        controller: Controller,
+        gate: SafetyGate,
+        port: int,
+    ) -> None:
+        self._stack = ExitStack()
+        self._process = open_dashboard(folder, session, "replay", port, self._stack)
+        recording = header.get("recording", {})
+        rates_hz = {name: rate for name, rate in recording.get("rates_hz", {}).items() if name in calibrations}
+        belt_mps = session.treadmill.belt_speed_mps if session.treadmill else recording.get("belt_speed_mps")
+        stream = self._process.stream
+        self.log = ReplayLog(log, stream, controller, gate, rates_hz, phase_sensors(calibrations), belt_mps)
+        self._t_ns = 0
+        said = "warning", "dashboard", "stopped on the dashboard"
+        self.clock = StoppableClock(stream, lambda: self.log.note(Note(self._t_ns, *said)))
+
+    def publish(self, t_ns: int) -> None:
+        """Show what there is to show at the recording's time ``t_ns``."""
+        self._t_ns = t_ns
+        self.log.publish(t_ns, time.monotonic_ns())
+
+    def close(self, ended: str) -> None:
+        """End the dashboard; ``ended`` says how the replay did."""
+        self.log.publish(self._t_ns, time.monotonic_ns(), last=True)
+        self._process.farewell = f"The replay has ended: {ended}."
+        self._stack.close()
+
+
+def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
+    """Play a session log's events to a dashboard, ``speed`` times as fast as they came; nothing is stimulated.
+
+    Raises:
+        Problem: the log cannot be read, or no dashboard can be served.
+        SystemExit: stopped on the dashboard, or interrupted.
+    """
+    try:
+        record = read_session(path)
+        session, calibrations, session_id = settings_of(record.header, path)
+    except (SessionLogError, ConfigError) as error:
+        fail(error)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        fail(SessionLogError(f"{path}: its header is not one of this version: {error}"))
+    step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))
+    controller, gate = controller_and_gate(session, calibrations, step_ma)
+    warm_up()
+    shown = ReplayDashboard(folder, session, calibrations, record.header, ReplayOutput(), controller, gate, port)
+    sink = LoggedSink(session_id, [])
+    runner = Runner(controller, gate, sink, shown.log, time.perf_counter_ns)
+    marks = deque(note for note in record.notes if note.source == MARK)
+    ended = "interrupted"
+    try:
+        with Interrupt() as interrupt:
+
+            def after(event: Event) -> None:
+                while marks and marks[0].t_ns <= event.t_ns:
+                    shown.log.note(marks.popleft())
+                shown.publish(event.t_ns)
+                interrupt.check()
+
+            runner.run(sink.replay_events(paced(iter_events(path), shown.clock, speed)), after)
+        ended = "complete"
+    except KeyboardInterrupt:
+        interrupted(": the log was not played to its end, and not checked.")
+    finally:
+        shown.close(ended)
+
 
 TARGETS: Final = ("simulated", "none", "bus")
 
@@ -42,8 +146,7 @@ TARGETS: Final = ("simulated", "none", "bus")
 def refuse_settings_of_a_recording(*allowed: str) -> None:
     """A session log brings its own settings; one given here would change nothing, so say so.
 
-    Raises:
-        Problem: one was given that is not ``allowed``.
+    Problem: one was given that is not ``allowed``.
     """
     useless = given_options() - {"recording", "as_json", "dashboard", *allowed}
     for option in click.get_current_context().command.params:
@@ -144,8 +247,6 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
         return
     refuse_settings_of_a_recording(*(("speed", "out", "dashboard_port") if options.dashboard else ()))
     if options.dashboard:
-        from fes.cli.replay.dashboard import play_log
-
         play_log(recording, fresh_folder(options.out, recording.stem), options.speed or 1.0, options.dashboard_port)
     replay_log(recording, as_json=options.as_json)
 
@@ -178,7 +279,7 @@ def replay_recording(path: Path, options: Options) -> Path:
     if options.stimulator == "none" or not session.channels:
         opening = stimulators.no_stimulator(*opened_with)
     else:
-        opening = stimulators.simulated(*opened_with, lockstep=speed != 1.0, record=folder / "stimulator.jsonl")
+        opening = stimulators.simulated(*opened_with, real_time=speed == 1.0, record=folder / "stimulator.jsonl")
     warm_up()
     with failing(StimulatorLost, BusError, SessionLogError, kind=StoppedEarly), opening as opened:
         ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
@@ -251,8 +352,6 @@ def _go(
     controller, gate = controller_and_gate(session, calibrations)
     shown = None
     if options.dashboard:
-        from fes.cli.replay.dashboard import ReplayDashboard
-
         port = options.dashboard_port
         shown = ReplayDashboard(log_path.parent, session, calibrations, header, log, controller, gate, port)
     runner = Runner(controller, gate, opened.stimulator, shown.log if shown else log, time.perf_counter_ns)

@@ -3,25 +3,56 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import click
 
 from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, PROTOCOL_VERSION
 from fes import __version__
-from fes.cli.common.exits import FAILED, failing
-from fes.cli.common.show import show, show_latched
+from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, stored_calibrations
+from fes.cli.common import FAILED, failing
 from fes.cli.replay.stimulators import LoggedSink, SerialSink, polled_every_ns, repeats_bytes
-from fes.config import ConfigError, Session
+from fes.cli.show import show, show_latched
+from fes.config import ConfigError, Session, load_session
 from fes.control.controller import CURRENT_STEP_MA, Controller
-from fes.control.replay import settings_of
+from fes.control.replay import refuse_long_silence, session_for, settings_of
 from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
-from fes.evaluation.log_replay import ReplayOutput, first_difference
+from fes.evaluation.log_comparison import ReplayOutput, first_difference
 from fes.gate import SafetyGate, gate_of
 from fes.live.supervision import OWN, UNSENT
+from fes.recording import Recording, read_recording
 from fes.session_log import SessionLogError, SessionRecord, iter_events, iter_inputs, read_session
 from fes.signals import Event
+
+# --- what a replay needs of a recording before it begins ------------------------------------------------------
+
+
+class Prepared(NamedTuple):
+    """A recording with what it is replayed with; ``session`` is None where no settings are asked for or beside it."""
+
+    recording: Recording
+    settings: Path | None
+    session: Session | None
+    found: SensorCalibrations
+
+
+def prepared(path: Path, settings: Path | None, calibration: Path | None) -> Prepared:
+    """Read a recording; ``settings`` are a session's, by default ``session.toml`` beside it.
+
+    RecordingError, ConfigError, CalibrationError: one of the files cannot be used.
+    """
+    recording = read_recording(path)
+    refuse_long_silence(recording)
+    beside = path.parent / "session.toml"
+    settings = settings or (beside if beside.is_file() else None)
+    session = load_session(settings) if settings else None
+    if calibration:
+        recording, found = stored_calibrations(calibration, recording)
+    else:
+        found = calibrate_phase_sensors(recording, incline=session_for(recording, session).ground.incline)
+    return Prepared(recording, settings, session, found)
+
 
 LARGEST_STEP_MA: Final = 10.0
 REPORTED: Final = ("commands", "strides", "difference")
@@ -54,8 +85,7 @@ def repeat(path: Path) -> Repeated:
 
     A log that is torn, or whose session stopped half-way through an event, is compared as far as it goes.
 
-    Raises:
-        SessionLogError, ConfigError: the log cannot be read, or is of another kind.
+    SessionLogError, ConfigError: the log cannot be read, or is of another kind.
     """
     again = Reopened(path)
     record, runner = again.record, again.runner
@@ -78,8 +108,7 @@ class Reopened:
 
     ``recorded`` are its commands' frames, None where bytes cannot be compared.
 
-    Raises:
-        SessionLogError, ConfigError: as :func:`repeat`.
+    SessionLogError, ConfigError: as :func:`repeat`.
     """
 
     def __init__(self, path: Path) -> None:

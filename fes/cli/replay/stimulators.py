@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from drivers.simulated.record import RecordWriter
 from drivers.simulated.spawn import spawn_node
-from drivers.simulated.stimulator.lockstep import LockstepStimulator
+from drivers.simulated.stimulator.in_process import InProcessStimulator
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, logged_commands
 from drivers.stimulator.can_port import ByteSink, CanStimulator
 from drivers.stimulator.open import SERIAL, open_stimulator
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode.port import ScienceModePort
+from drivers.stimulator.sciencemode import ScienceModePort
 from drivers.stimulator.serial_line import Line
 from fes.config import ImuDevice, Session
 from fes.control.runner import Stimulator
 from fes.evaluation.delivered import Delivered, compare_delivered
-from fes.live.supervised_line import is_due
-from fes.live.supervision import UNSENT
+from fes.live.supervision import UNSENT, is_due
 from fes.recording import Recording
 from fes.session_log import Received
 from fes.signals import G_MPS2, Event, RawSample, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame
@@ -111,8 +111,7 @@ class SerialSink(_RepeatingSink):
 
     A line that was lost got no command.
 
-    Raises:
-        ConfigError: the log's settings are not such a device's.
+    ConfigError: the log's settings are not such a device's.
     """
 
     def __init__(self, session: Session, polled_every_ns: int = 0) -> None:
@@ -219,18 +218,28 @@ def no_stimulator(session_id: int, boot_id: int, t_ns: int, validity_ms: int) ->
 
 @contextmanager
 def simulated(
-    session_id: int, boot_id: int, t_ns: int, validity_ms: int, *, lockstep: bool, record: Path | None
+    session_id: int, boot_id: int, t_ns: int, validity_ms: int, *, real_time: bool, record: Path
 ) -> Iterator[Opened]:
-    """A simulated stimulator in its own process on virtual CAN; in lockstep its clock is the replay's.
+    """A simulated stimulator: in this process by the recording's time, or in ``real_time`` a process on virtual CAN.
 
-    Raises:
-        StimulatorLost, BusError: it did not start, or cannot be reached.
+    ``record``: where it says what it delivered. StimulatorLost, BusError: it did not start, or cannot be reached.
     """
-    with spawn_node(boot_id=boot_id, record=record, clock="bus" if lockstep else "real") as node:
-        kind = LockstepStimulator if lockstep else CanStimulator
-        with closing(kind(open_bus(node.bus, NODE_IDS), session_id, validity_ms=validity_ms)) as stimulator:
+    if real_time:
+        with (
+            spawn_node(boot_id=boot_id, record=record) as node,
+            closing(CanStimulator(open_bus(node.bus, NODE_IDS), session_id, validity_ms=validity_ms)) as stimulator,
+        ):
             handshake = stimulator.open(t_ns, timeout_s=10.0)
             yield Opened(stimulator, handshake.frames, handshake.alive)
+        return
+    with closing(RecordWriter(record)) as delivered:
+        stimulator = InProcessStimulator(session_id, boot_id, t_ns, validity_ms=validity_ms)
+        try:
+            with closing(stimulator):
+                handshake = stimulator.start(t_ns)
+                yield Opened(stimulator, handshake.frames, handshake.alive)
+        finally:
+            delivered.write(stimulator.bus.node.take_record())
 
 
 class RecordedSensors:

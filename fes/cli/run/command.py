@@ -21,17 +21,27 @@ from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import SensorCalibrations, load, refuse_others
 from fes.cli.calibrate import describe, save_calibrations
-from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, Command, Number, utc_now
-from fes.cli.common.progress import Interrupt
+from fes.cli.common import (
+    LOG_SUFFIX,
+    OK,
+    PATH,
+    Command,
+    Interrupt,
+    Number,
+    Problem,
+    StoppedEarly,
+    failing,
+    fresh_folder,
+    interrupted,
+    utc_now,
+)
 from fes.cli.run import devices
-from fes.config import ConfigError, Session, load_session, refuse_blind_targets
+from fes.config import ConfigError, Session, load_exercise, load_session, refuse_blind_targets
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.live.calibrating import Calibrating
+from fes.live.calibrating import Calibrating, ExerciseClock
 from fes.live.commands import CommandKind, OperatorCommand
-from fes.live.exercise import ExerciseClock
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import sides_said, unchecked_side
@@ -41,7 +51,7 @@ from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.source import LiveSource
 from fes.live.stimulator import LiveStimulator, Opened
-from fes.live.supervised_line import SupervisorProcess
+from fes.live.supervision import SupervisorProcess
 from fes.session_log import Note, SessionLogError
 from fes.session_log.framing import LogScan, RecordType
 from fes.signals import Event
@@ -402,3 +412,34 @@ def _give_inputs(
             button = open_switch(wanted, session.bus)
             stack.callback(button.close)
             live.add_input(StopSwitch(button, live.operator.execute))
+
+
+@click.command(name="exercise")
+@click.argument("session", type=PATH)
+@live_options
+def exercise_command(session: Path, **options: Any) -> None:
+    """Stimulate in cycles, as the [exercise] table of SESSION (TOML) says; the person lies or sits, no sensor is read.
+
+    Nothing is stimulated until you arm it by hand (a) and raise the intensity (+), which starts at 0. SPACE stops at
+    once, and so do Ctrl-C, the stop file and the stop button. After the last burst it is disarmed.
+
+    Exit code: 0 ended as asked, 2 unusable settings or devices, 3 stopped early, 4 a fault of fes itself, 130
+    interrupted.
+    """
+    run_exercise(session, Options(**options))
+
+
+def run_exercise(path: Path, options: Options) -> Path:
+    """Run a session of exercise; returns the session log's path. Raises as :func:`fes.cli.run.command.run_session`."""
+    with failing(ConfigError):
+        session = load_exercise(path)
+    folder = fresh_folder(options.out or Path(session.live.folder), f"{path.stem}-exercise")
+    with ExitStack() as stack:
+        supervisor = stack.enter_context(SupervisorProcess())
+        keys = options.keys_from if options.keys_from is not None else standard_keys()
+        if keys is not None:
+            stack.enter_context(Terminal(keys))
+        interrupt = stack.enter_context(Interrupt())
+        log_path, ended = run_live(session, {}, [], options, folder, keys, interrupt, supervisor, stack)
+    finish(log_path, ended, report=options.report)
+    return log_path

@@ -15,8 +15,7 @@ import click
 from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
 from drivers.imu.port import ImuLost, ImuPort
 from drivers.stimulator.bus import BusError
-from fes.cli.common.exits import Problem, failing, need_extra
-from fes.cli.common.options import Command
+from fes.cli.common import Command, Problem, failing, need_extra
 from fes.config import ConfigError, Session, Switch
 from fes.control.clock_sync import SensorClock
 from fes.estimation.sensor_choice import phase_sensors
@@ -50,8 +49,7 @@ def open_dashboard(
 
     For ``mode`` and ``calibrated`` see :func:`fes.live.dashboard.process.about_session`.
 
-    Raises:
-        Problem: the port is taken, or the folder cannot be written.
+    Problem: the port is taken, or the folder cannot be written.
     """
     from fes.live.dashboard.process import LINK_NAME, DashboardProcess, about_session
 
@@ -95,8 +93,7 @@ class SensorFaults(Input, Protocol):
 def open_sensors(session: Session, stack: ExitStack, faults: SensorFaults | None = None) -> list[SensorStream]:
     """Open every line that a sensor of the session is on; ``stack`` closes them.
 
-    Raises:
-        Problem: one cannot be opened; or ``faults`` without a dummy load.
+    Problem: one cannot be opened; or ``faults`` without a dummy load.
     """
     if faults is not None and not faults.dummy_load:
         raise Problem("Sensors' faults are injected by `fes hil --hardware … --i-have-a-dummy-load` alone.")
@@ -117,8 +114,7 @@ def open_sensors(session: Session, stack: ExitStack, faults: SensorFaults | None
 def stop_switch_settings(text: str) -> Switch:
     """The stop button's settings from ``can_bit:0x1F0:3``, ``serial_cts:/dev/ttyUSB1``; ``:low`` behind it inverts.
 
-    Raises:
-        ConfigError: it is of another form.
+    ConfigError: it is of another form.
     """
     source, *rest = text.split(":")
     pressed = rest.pop() if rest and rest[-1] in ("high", "low") else "high"

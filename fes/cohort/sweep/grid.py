@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from fes.cohort.sources import CohortError
+from fes.cohort.store import CohortError
 from fes.config import Session, validate_session
 from fes.config.base import Settings
 from fes.config.thresholds import changed_thresholds
@@ -75,11 +75,7 @@ class Point:
 
 
 def parse_axis(asked: str) -> Axis:
-    """``name=a,b,c`` or ``name=low:high:count``.
-
-    Raises:
-        CohortError: it is neither, or there is no such setting.
-    """
+    """``name=a,b,c`` or ``name=low:high:count``. CohortError: it is neither, or there is no such setting."""
     name, equals, values = asked.partition("=")
     name = name.strip()
     if not equals or not values.strip():
@@ -95,8 +91,7 @@ def parse_axis(asked: str) -> Axis:
 def combinations_of(axes: Sequence[Axis], sample: int | None = None, seed: int = 1) -> list[Point]:
     """The session as it is, then all combinations, or ``sample`` different ones drawn by ``seed``.
 
-    Raises:
-        CohortError: a setting is named twice, or there are too many combinations.
+    CohortError: a setting is named twice, or there are too many combinations.
     """
     names = [each.name for each in axes]
     if twice := [name for name in names if names.count(name) > 1]:
@@ -147,11 +142,7 @@ def thresholds_of(point: Point) -> dict[str, Value | Factor]:
 
 
 def change_thresholds(thresholds: Thresholds, changes: dict[str, Value | Factor]) -> Thresholds:
-    """Thresholds with a combination's.
-
-    Raises:
-        CohortError: a value is not of the threshold's kind.
-    """
+    """Thresholds with a combination's. CohortError: a value is not of the threshold's kind."""
     try:
         return changed_thresholds(thresholds, {name: as_setting(value) for name, value in changes.items()})
     except ValueError as error:

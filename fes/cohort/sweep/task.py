@@ -18,8 +18,7 @@ import numpy as np
 
 from fes import __version__
 from fes.cohort.engine import Task
-from fes.cohort.sources import CohortError, Source, local_copy, program
-from fes.cohort.store import Store
+from fes.cohort.store import CohortError, Source, Store, local_copy, program
 from fes.cohort.sweep.grid import Factor, Point, Value, change_thresholds, session_with, thresholds_of
 from fes.cohort.sweep.table import RESULTS
 from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
@@ -214,8 +213,7 @@ def sweep_tasks(cases: Iterable[Case], points: Sequence[Point], bench: Bench, st
 def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
     """Try a combination and keep its row; what is wrong with it, or with the recording, is kept as its reason.
 
-    Raises:
-        OSError: the results cannot be kept; it counts as not done.
+    OSError: the results cannot be kept; it counts as not done.
     """
     try:
         scores = _on_patient(case, bench, point) if isinstance(case, Patient) else _on_recording(case, bench, point)
@@ -250,8 +248,7 @@ class SweptFoot(FootCalibration):
 def with_thresholds(calibrations: dict[str, Calibration], point: Point) -> dict[str, Calibration]:
     """Calibrations with a combination's thresholds.
 
-    Raises:
-        CohortError: a sensor is none on a foot, or a value is not of the threshold's kind.
+    CohortError: a sensor is none on a foot, or a value is not of the threshold's kind.
     """
     changes = thresholds_of(point)
     if not changes:

@@ -1,16 +1,150 @@
-"""The whole evaluation: what can be held against a reference; clocks, frames, pairs, and their agreement."""
+"""The whole evaluation: what can be held against a reference; clocks, frames, pairs, and their agreement.
+
+Paths of markers against estimated strides: Negård et al. (2005), Eq. (22), between the stride's own two ends.
+
+Length is the horizontal distance of the marker between the instants at which the estimate begins and ends the stride:
+both then speak of the same stride. A stride counts only where the marker was seen all along, stood still at both ends,
+and really went somewhere; where the marker is not at the sensor, only if the foot did not turn.
+
+An optical orientation against what the inertial sensor alone tells: inclination, which is all but heading.
+
+Reference and estimate each say where up is in the sensor's axes. The angle between the two is the error that has
+nothing to do with heading; it goes into words. Bland–Altman and the like need signed quantities: they are the angles of
+the sensor's x and z axes to the vertical.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fes.evaluation.agreement import Differences, Interval, RegressionLine, differences, icc_2_1, regression_line
-from fes.evaluation.reference.alignment import MOST_S, Synchrony, looks_like_lab, synchronise, to_belt
-from fes.evaluation.reference.compare import TOLERANCE_S, Comparison, Count, Estimate, Pair, compare, swing_s
-from fes.evaluation.reference.paths import compare_path
-from fes.evaluation.reference.table import POINTS, MarkerPath, Reference, ReferenceError
+from fes.evaluation.reference.alignment import MOST_S, Synchrony, horizontal_speed, looks_like_lab, synchronise, to_belt
+from fes.evaluation.reference.compare import EDGE_S, TOLERANCE_S, Comparison, Count, Estimate, Pair, compare, swing_s
+from fes.evaluation.reference.read import kind_of, orientation_columns
+from fes.evaluation.reference.table import POINTS, MarkerPath, Reference, ReferenceError, read_columns
+from fes.recording import Recording, Track
+from fes.signals import NS_PER_S, FloatArray, StrideResult
+
+AROUND_S: Final = 0.025  # a marker's place is the median over this much before and after
+STANDING_MPS: Final = 0.2  # a foot that is faster at a stride's end does not stand
+SHORTEST_M: Final = 0.1
+STRAIGHT_RAD: Final = math.radians(20.0)
+JUMP_MPS: Final = 8.0  # no foot is that fast: the reference jumps
+SWING_MPS: Final = 0.3
+SWING_SHARE: Final = 0.35  # of the fastest swings: a belt that stands moves a marker in the belt's frame, but slower
+SWING_S: Final = 0.15
+HOLE_S: Final = 0.1
+FEW_HZ: Final = 60.0  # below: the greatest height lies between samples
+
+
+def compare_path(path: MarkerPath, estimate: Estimate) -> Comparison:
+    """Pairs of stride length and clearance, and how many of the marker's swings were found.
+
+    ``path`` is on the recording's clock, in the frame of the ground (or belt).
+    """
+    ours = estimate.strides_of(path.foot)
+    if not ours or len(path.t_s) < 3:
+        return Comparison((), ())
+    speed = horizontal_speed(path)
+    pairs: list[Pair] = []
+    left_out = 0
+    for stride in ours:
+        found = _values(path, stride, speed) if stride.valid else {}
+        if estimate.level:
+            found.pop("height_gained_m", None)
+        inside = path.t_s[0] <= 1e-9 * stride.t_start_ns and 1e-9 * stride.t_end_ns <= path.t_s[-1]
+        left_out += inside and not found
+        at = 0.5e-9 * (stride.t_start_ns + stride.t_end_ns)
+        for name, value in found.items():
+            estimated = float(getattr(stride, name))
+            if np.isfinite(value) and np.isfinite(estimated):
+                pairs.append(Pair(name, path.foot, at, value, estimated))
+    swings = marker_swings(path, speed)
+    expected = [t for t in swings if estimate.begin_s + EDGE_S < t < estimate.end_s - EDGE_S]
+    bounds = [(1e-9 * s.t_start_ns, 1e-9 * s.t_end_ns) for s in ours]
+    missed = sum(not any(begin < t < end for begin, end in bounds) for t in expected)
+    near = [swing_s(s) for s in ours if s.valid]
+    extra = sum(
+        path.t_s[0] + EDGE_S < t < path.t_s[-1] - EDGE_S and not any(abs(t - other) < 0.5 for other in swings)
+        for t in near
+    )
+    name = f"swing ({path.point})"
+    count = Count(name, path.foot, len(expected), len(expected) - missed + extra, missed, extra, left_out)
+    return Comparison(tuple(pairs), (count,))
+
+
+def marker_swings(path: MarkerPath, speed: FloatArray) -> FloatArray:
+    """The middle (s) of every time that the marker moved on for longer than ``SWING_S``."""
+    known = speed[np.isfinite(speed)]
+    least = max(SWING_MPS, SWING_SHARE * float(np.percentile(known, 99.0))) if len(known) else SWING_MPS
+    moving = np.nan_to_num(speed, nan=0.0) > least
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], moving.astype(np.int8), [0]])))
+    spans = [(float(path.t_s[a]), float(path.t_s[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    joined: list[tuple[float, float]] = []
+    for begin, end in spans:
+        if joined and begin - joined[-1][1] < HOLE_S:
+            joined[-1] = (joined[-1][0], end)
+        else:
+            joined.append((begin, end))
+    return np.array([0.5 * (begin + end) for begin, end in joined if end - begin > SWING_S])
+
+
+def _values(path: MarkerPath, stride: StrideResult, speed: FloatArray) -> dict[str, float]:
+    """What the marker says of a stride; empty where it says nothing that can be used."""
+    begin_s, end_s = stride.t_start_ns / NS_PER_S, stride.t_end_ns / NS_PER_S
+    first, last = (int(np.argmin(np.abs(path.t_s - t))) for t in (begin_s, end_s))
+    interval = 1.0 / path.rate_hz
+    if max(abs(path.t_s[first] - begin_s), abs(path.t_s[last] - end_s)) > interval or last - first < 3:
+        return {}
+    rows, times = path.position_m[first : last + 1], path.t_s[first : last + 1]
+    if not np.isfinite(rows).all() or np.diff(times).max() > HOLE_S:
+        return {}
+    if not (speed[first] < STANDING_MPS and speed[last] < STANDING_MPS):
+        return {}
+    if np.linalg.norm(np.diff(rows, axis=0), axis=1).max() > JUMP_MPS * interval:
+        return {}
+    start, end = _place(path, begin_s), _place(path, end_s)
+    length = float(np.hypot(*(end - start)[:2]))
+    if length < SHORTEST_M or (path.point != "sensor" and abs(stride.turn_rad) > STRAIGHT_RAD):
+        return {}
+    height = rows[:, 2] - start[2]
+    found = {"stride_length_m": length, "height_gained_m": float(end[2] - start[2])}
+    if path.point == "toe":
+        lowest = _toe_clearance(stride, times, rows, height)
+        return found if lowest is None else {**found, "toe_clearance_m": lowest}
+    greatest = float(height.max())
+    if len(times) >= 4 and (len(times) - 1) / (times[-1] - times[0]) <= FEW_HZ:  # it lies between the samples
+        from scipy.interpolate import CubicSpline
+
+        greatest = float(CubicSpline(times, height)(np.linspace(times[0], times[-1], 20 * len(times))).max())
+    return {**found, "clearance_m" if path.point == "sensor" else "heel_clearance_m": greatest}
+
+
+def _place(path: MarkerPath, at_s: float) -> FloatArray:
+    """Where the marker stood (3,): median around a moment, of at least three samples."""
+    reach = max(AROUND_S, 1.2 / path.rate_hz)
+    low, high = np.searchsorted(path.t_s, (at_s - reach, at_s + reach))
+    return np.asarray(np.nanmedian(path.position_m[int(low) : max(int(high), int(low) + 1)], axis=0))
+
+
+def _toe_clearance(stride: StrideResult, times: FloatArray, rows: FloatArray, height: FloatArray) -> float | None:
+    """Least height in mid-swing, by the definition of the estimate; None where the stride has no known swing."""
+    from fes.estimation.clearance.clearance import mid_swing
+
+    if stride.t_swing_ns is None or stride.t_loading_response_ns is None:
+        return None
+    low, high = np.searchsorted(times, (stride.t_swing_ns / NS_PER_S, stride.t_loading_response_ns / NS_PER_S))
+    swing = slice(int(low), int(high) + 1)
+    if len(times[swing]) < 5:
+        return None
+    t_ns = np.round(times[swing] * NS_PER_S).astype(np.int64)
+    lowest, _ = mid_swing(t_ns, height[swing], rows[swing, :2])
+    return float(height[swing][lowest])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +241,7 @@ class Evaluation:
 def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None = None) -> Evaluation:
     """Bring the reference to the recording's clock and the belt's frame, pair, and work out the agreement.
 
-    Raises:
-        ReferenceError: the reference fits nothing that was estimated.
+    ReferenceError: the reference fits nothing that was estimated.
     """
     chosen = settings or Settings()
     reference = _own_feet(reference, estimate)
@@ -167,11 +300,7 @@ def agreement(quantity: str, foot: str, pairs: list[Pair]) -> AgreementRow:
 
 
 def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
-    """Without what is of feet that the recording does not have.
-
-    Raises:
-        ReferenceError: nothing is left.
-    """
+    """Without what is of feet that the recording does not have. ReferenceError: nothing is left."""
     feet = set(estimate.feet)
     parts = ("events", "strides", "paths", "ends")
     others = {each.foot for part in parts for each in getattr(reference, part)} - feet
@@ -253,3 +382,118 @@ def _spans(reference: Reference, estimate: Estimate) -> str:
     times += [e.t_s for e in reference.events] + [float(path.t_s[k]) for path in reference.paths for k in (0, -1)]
     span = f"{min(times):.1f}–{max(times):.1f} s" if times else "no time"
     return f"it covers {span}, the recording {estimate.begin_s:.1f}–{estimate.end_s:.1f} s"
+
+
+PAIRS_HZ: Final = 10.0
+LEAST: Final = 10
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationReference:
+    """Sensor to world, z up: ``t_s`` (N,) increasing, ``quaternion`` (N, 4) w, x, y, z, NaN where it was not seen.
+
+    ``judged`` (N,): where it counts, as while the body moves. ``sensor`` is "" where the file names none.
+    """
+
+    source: str
+    sensor: str
+    t_s: FloatArray
+    quaternion: FloatArray
+    judged: npt.NDArray[np.bool_]
+
+
+def only_orientations(paths: Sequence[Path]) -> bool:
+    """Whether these references are tables of orientation, all of them."""
+    tables = [path for path in paths if path.suffix.lower() in (".csv", ".txt", ".tsv") and path.is_file()]
+    return bool(paths) and len(tables) == len(paths) and all(kind_of(read_columns(p)) == "orientation" for p in paths)
+
+
+def read_orientation(path: Path) -> OrientationReference:
+    """Read a table t, q_w, q_x, q_y, q_z, and perhaps sensor (or foot) and moving.
+
+    ReferenceError: it cannot be read, or a quaternion is none.
+    """
+    table = read_columns(path)
+    t_s, quaternion, judged = orientation_columns(table)
+    seen = np.isfinite(quaternion).all(axis=1)
+    size = np.linalg.norm(quaternion, axis=1)
+    wrong = np.flatnonzero(seen & (np.abs(size - 1.0) > 0.05))
+    if len(wrong):
+        raise ReferenceError(
+            f"{path}:{table.first_line + int(wrong[0])}: a quaternion has the length {size[wrong[0]]:.3f}, not 1"
+        )
+    names = {text.strip() for text in table.columns.get("sensor", table.columns.get("foot", []))}
+    if len(names) > 1:
+        raise ReferenceError(f"{path}: is of several sensors ({', '.join(sorted(names))}); a table for each, please")
+    return OrientationReference(str(path), next(iter(names), ""), t_s, quaternion, judged & seen)
+
+
+def evaluate_orientation(recording: Recording, references: Sequence[OrientationReference]) -> Evaluation:
+    """Hold each reference against its sensor's orientation, off-line; the causal filter's error stands in the notes.
+
+    ReferenceError: the recording has no such sensor, or both hardly overlap.
+    """
+    pairs: list[Pair] = []
+    notes: list[str] = []
+    for reference in references:
+        own, said = _hold_against(recording, reference)
+        pairs += own
+        notes += said
+    span = [float(t) for reference in references for t in (reference.t_s[0], reference.t_s[-1])]
+    source = str(recording.path or recording.name)
+    estimate = Estimate(source, "orientation, off-line", min(span), max(span), (), {}, {})
+    notes.append("neighbouring samples are alike: the intervals of the table are far too narrow, SD and limits are not")
+    sources, found = tuple(reference.source for reference in references), tuple(pairs)
+    return Evaluation(estimate, sources, Synchrony(0.0, "", None), found, (), rows_of(found), tuple(notes), ())
+
+
+def upward(quaternion: FloatArray) -> FloatArray:
+    """The world's z axis in the sensor's axes (N, 3)."""
+    w, x, y, z = quaternion.T
+    up = np.column_stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
+    return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
+
+
+def _hold_against(recording: Recording, reference: OrientationReference) -> tuple[list[Pair], list[str]]:
+    from fes.estimation.orientation.body import smooth_orientation, track_orientation
+
+    track = _track_of(recording, reference)
+    t_s = 1e-9 * (track.t_sensor_ns - track.t_sensor_ns[0])
+    index = np.searchsorted(t_s, reference.t_s - 0.5 / track.rate_hz)
+    index = np.minimum(index, len(t_s) - 1)
+    judged = reference.judged & (np.abs(t_s[index] - reference.t_s) <= 1.0 / track.rate_hz)
+    if judged.sum() < LEAST:
+        raise ReferenceError(
+            f"{reference.source}: fewer than {LEAST} of its orientations fall on samples of {track.sensor}; both begin "
+            "at 0 s?"
+        )
+    true = upward(reference.quaternion[judged])
+    notes, off_line = [], np.zeros((0, 3))
+    for how, run in (("causal", track_orientation), ("off-line", smooth_orientation)):
+        samples = track.acc_mps2, track.gyr_radps, track.rate_hz
+        path = run(*samples, acc_range_mps2=track.acc_range_mps2, gyr_range_radps=track.gyr_range_radps)
+        off_line = upward(path.quaternion)[index[judged]]
+        error = np.degrees(np.arctan2(np.linalg.norm(np.cross(off_line, true), axis=1), (off_line * true).sum(axis=1)))
+        notes.append(
+            f"{track.sensor}, {how}: the vertical is off by {np.sqrt(np.mean(error**2)):.2f}° (RMS of {len(error)} "
+            f"samples), 95 % within {np.percentile(error, 95):.2f}°, worst {error.max():.2f}°"
+        )
+    times = reference.t_s[judged]
+    every = max(round(1.0 / (PAIRS_HZ * float(np.median(np.diff(reference.t_s))))), 1)
+    pairs = [
+        Pair(name, track.sensor, float(times[k]), float(a[k]), float(b[k]))
+        for name, axis in (("inclination_x_rad", 0), ("inclination_z_rad", 2))
+        for a, b in [(np.arccos(np.clip(side[:, axis], -1.0, 1.0)) for side in (true, off_line))]
+        for k in range(0, len(times), every)
+    ]
+    return pairs, notes
+
+
+def _track_of(recording: Recording, reference: OrientationReference) -> Track:
+    names = [reference.sensor] if reference.sensor else list(recording.tracks)
+    if len(names) != 1 or names[0] not in recording.tracks:
+        raise ReferenceError(
+            f"{reference.source}: of which sensor is it? The recording has {', '.join(recording.tracks)}; add a column "
+            "'sensor'"
+        )
+    return recording.tracks[names[0]]

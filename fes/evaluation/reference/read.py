@@ -1,14 +1,314 @@
-"""References from their files: several as one; C3D of motion capture by the library ezc3d (extra ``c3d``)."""
+"""References from their files: several as one; C3D of motion capture by the library ezc3d (extra ``c3d``).
 
+References as CSV: which of eight kinds a table is, told by its columns.
+
+| kind | columns (units in the names: ``t_s``, ``t_ms``, ``x_mm`` …) |
+|---|---|
+| strides | foot, t_start, t_end, and any of stride_length, clearance, toe_clearance, heel_clearance, foot_strike … |
+| events | foot, event (IC, FO), t |
+| mat | foot, t_contact, and any of t_off, x, y, stride_length: a row for each footfall |
+| switch | t, and a column for each switch whose name begins with left or right |
+| path | t, x, y, z; or t and columns such as left_heel_x, left_heel_y, left_heel_z |
+| belt | t, speed |
+| orientation | t, q_w, q_x, q_y, q_z (sensor to world, z up), and perhaps sensor, moving |
+| end | end_distance and end_height: where the whole walk ended, seen from its start; and perhaps foot |
+
+A mat's stride length is the distance between successive contacts of the same foot, whatever the direction (heel to
+heel); that of a walk with turns is measured along straight lines as well.
+"""
+
+import re
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from fes.evaluation.reference.csv_file import event_name, read_csv
-from fes.evaluation.reference.table import MarkerPath, Reference, ReferenceError, ReferenceEvent, foot_of
+from fes.evaluation.reference.table import (
+    POINTS,
+    MarkerPath,
+    Reference,
+    ReferenceEnd,
+    ReferenceError,
+    ReferenceEvent,
+    ReferenceStride,
+    Table,
+    foot_of,
+    read_columns,
+)
 from fes.signals import FloatArray
+
+ON_SHARE, OFF_SHARE = 0.6, 0.4  # of the way from the released to the pressed level: hysteresis
+BOUNCE_S = 0.05  # shorter pauses and touches are bouncing contacts
+LONGEST_STRIDE_S = 4.0  # beyond: the walker left the mat and came back
+LATEST_S: Final = 4e9  # seconds since 1970 are below it; as ns they still fit 64 bits
+TIME: Final = ("t", "time", "seconds", "timestamp")
+CONTACT: Final = ("t_contact", "t_initial_contact", "t_loading_response", "first_contact", "contact_time")
+QUATERNION: Final = ("q_w", "q_x", "q_y", "q_z")
+OFF: Final = ("t_off", "t_foot_off", "t_swing", "last_contact", "off_time")
+_EVENT_NAMES: Final = {
+    "IC": ("ic", "initialcontact", "footstrike", "heelstrike", "hs", "contact", "footcontact"),
+    "FO": ("fo", "footoff", "toeoff", "to", "terminalcontact", "tc", "off"),
+}
+_LENGTHS: Final = ("stride_length", "clearance", "toe_clearance", "heel_clearance", "height_gained")
+_VALUES: Final = {name: f"{name}_m" for name in _LENGTHS} | {
+    **{name: f"{name}_s" for name in ("stride_time", "stance_time", "swing_time")},
+    **dict.fromkeys(("foot_strike", "foot_strike_angle"), "foot_strike_rad"),
+    **dict.fromkeys(("speed", "stride_velocity"), "speed_mps"),
+}
+_ENDS: Final = ("end_distance", "end_height")
+_MARKER: Final = re.compile(r"(left|right|l|r)_(?:foot_)?(\w+)_x")
+
+
+def read_csv(path: Path, *, foot: str | None = None) -> Reference:
+    """Read one CSV; ``foot`` is whose it is where it does not say.
+
+    ReferenceError: it cannot be read, or is of no known kind.
+    """
+    table = read_columns(path)
+    kind = kind_of(table)
+    if kind is None:
+        raise ReferenceError(
+            f"{path}: its columns ({', '.join(table.columns)}) are those of no known kind of reference. Needed are "
+            f"foot, t_start, t_end (strides); foot, event, t (events); foot, t_contact (step mat); t and left…, right… "
+            f"(foot switches); t, x, y, z (a marker's path); t, speed (a belt); t, q_w, q_x, q_y, q_z (orientation); "
+            f"or end_distance, end_height (a walk's end)"
+        )
+    if kind == "orientation":
+        raise ReferenceError(f"{path}: orientations are held against a sensor alone; name no other reference")
+    readers = {"strides": _strides, "events": _events, "mat": _mat, "switch": _switch, "path": _paths}
+    readers |= {"belt": _belt, "end": _end}
+    try:
+        found = readers[kind](table, foot)
+    except KeyError as error:
+        raise ReferenceError(f"{path}: as {kind} it lacks a column {error.args[0]!r}") from error
+    times = [event.t_s for event in found.events] + [stride.t_end_s for stride in found.strides]
+    times += [float(t) for path_ in found.paths for t in (path_.t_s[0], path_.t_s[-1])] + found.belt[:, 0].tolist()
+    if any(not abs(t) < LATEST_S for t in times):
+        raise ReferenceError(f"{path}: holds a time beyond {LATEST_S:g} s; is the unit of its time column right?")
+    return found
+
+
+def kind_of(table: Table) -> str | None:
+    """What a table is by its columns, as listed at the top of this module; None where they fit nothing."""
+    names, timed = set(table.columns), table.first_of(*TIME) is not None
+    switches = any(_switch_foot(name) for name in names)
+    marker = {"x", "y", "z"} <= names or any(_MARKER.fullmatch(name) for name in names)
+    kinds = (
+        ("orientation", timed and set(QUATERNION) <= names),
+        ("end", bool(names & set(_ENDS))),
+        ("strides", {"t_start", "t_end"} <= names),
+        ("events", timed and "event" in names),
+        ("mat", table.first_of(*CONTACT) is not None),
+        ("path", timed and marker),
+        ("belt", timed and table.first_of("speed", "belt_speed") is not None and not switches),
+        ("switch", timed and switches),
+    )
+    return next((kind for kind, fits in kinds if fits), None)
+
+
+def _time(table: Table) -> FloatArray:
+    name = table.first_of(*TIME)
+    if name is None:
+        raise KeyError("t_s")
+    t_s = table.numbers(name)
+    bad = np.flatnonzero(~np.isfinite(t_s))
+    if len(bad):
+        raise ReferenceError(f"{table.line(int(bad[0]))}: the time is empty")
+    return t_s
+
+
+def _increasing(table: Table) -> FloatArray:
+    t_s = _time(table)
+    back = np.flatnonzero(np.diff(t_s) <= 0.0)
+    if len(back):
+        raise ReferenceError(f"{table.line(int(back[0]) + 1)}: the time does not increase")
+    if len(t_s) < 3:
+        raise ReferenceError(f"{table.path}: holds fewer than three samples")
+    return t_s
+
+
+def _strides(table: Table, foot: str | None) -> Reference:
+    values = {name: table.numbers(name) for name in table.columns if name in _VALUES}
+    start, end = table.numbers("t_start"), table.numbers("t_end")
+    usable = np.ones(table.rows, dtype=bool)
+    for name in ("steady", "walking", "valid"):
+        if name in table.columns:
+            usable &= np.array(table.flags(name))
+    wrong = np.flatnonzero(~(np.isfinite(start) & np.isfinite(end) & (start < end)))
+    if len(wrong):
+        raise ReferenceError(f"{table.line(int(wrong[0]))}: t_end must be after t_start")
+    feet = table.feet(foot)
+    strides, events = [], []
+    for k in range(table.rows):
+        known = {_VALUES[name]: float(column[k]) for name, column in values.items() if np.isfinite(column[k])}
+        strides.append(ReferenceStride(feet[k], float(start[k]), float(end[k]), known, bool(usable[k])))
+    soft = table.columns.get("contact", [""] * table.rows)
+    for what, names in (("IC", CONTACT), ("FO", OFF)):
+        if column := table.first_of(*names):
+            times = table.numbers(column)
+            events += [
+                ReferenceEvent(float(times[k]), feet[k], what)
+                for k in range(table.rows)
+                if np.isfinite(times[k]) and not (what == "IC" and soft[k] == "soft")
+            ]
+    strides.sort(key=lambda stride: stride.t_start_s)
+    return Reference((str(table.path),), tuple(sorted(events)), tuple(strides))
+
+
+def _events(table: Table, foot: str | None) -> Reference:
+    t_s, feet = _time(table), table.feet(foot)
+    events = []
+    for row, text in enumerate(table.columns["event"]):
+        what = event_name(text)
+        if what is None:
+            raise ReferenceError(f"{table.line(row)}: {text!r} is no event known here; IC and FO are")
+        events.append(ReferenceEvent(float(t_s[row]), feet[row], what))
+    return Reference((str(table.path),), tuple(sorted(events)))
+
+
+def event_name(text: str) -> str | None:
+    """IC or FO for the names that laboratories give them; None for others."""
+    plain = re.sub(r"[^a-z]", "", text.lower())
+    return next((what for what, aliases in _EVENT_NAMES.items() if plain in aliases), None)
+
+
+def _mat(table: Table, foot: str | None) -> Reference:
+    """Events and strides of K footfalls, in any order.
+
+    ``contact_s`` (K,) is initial contact, or any one moment at which the foot stood there; ``place_m`` (K, 2) where it
+    stood; ``length_m`` (K,) the stride length that ends with this footfall, if the mat says so itself.
+    """
+    source, feet = str(table.path), table.feet(foot)
+    contact_s = table.numbers(table.first_of(*CONTACT) or "t_contact")
+    off_s, length_m = (table.numbers(n) if n else None for n in (table.first_of(*OFF), table.first_of("stride_length")))
+    place_m = np.column_stack([table.numbers("x"), table.numbers("y")]) if {"x", "y"} <= set(table.columns) else None
+    early = off_s <= contact_s if off_s is not None else np.zeros(0, np.bool_)
+    for wrong, what in ((~np.isfinite(contact_s), "has no time of contact"), (early, "leaves before it came")):
+        if wrong.any():
+            raise ReferenceError(f"{source}: footfall {int(np.flatnonzero(wrong)[0]) + 1} {what}")
+    events, strides = [], []
+    whose = np.array(feet)
+    for foot in dict.fromkeys(feet):
+        mine = np.flatnonzero(whose == foot)
+        mine = mine[np.argsort(contact_s[mine], kind="stable")]
+        events += [ReferenceEvent(float(contact_s[k]), foot, "IC") for k in mine]
+        if off_s is not None:
+            events += [ReferenceEvent(float(off_s[k]), foot, "FO") for k in mine if np.isfinite(off_s[k])]
+        for before, after in pairwise(mine.tolist()):
+            if not 0.0 < contact_s[after] - contact_s[before] <= LONGEST_STRIDE_S:
+                continue
+            values = {}
+            if length_m is not None and np.isfinite(length_m[after]):
+                values["stride_length_m"] = float(length_m[after])
+            elif place_m is not None:
+                values["stride_length_m"] = float(np.hypot(*(place_m[after] - place_m[before])))
+            strides.append(ReferenceStride(foot, float(contact_s[before]), float(contact_s[after]), values))
+    strides.sort(key=lambda stride: stride.t_start_s)
+    return Reference((source,), tuple(sorted(events)), tuple(strides))
+
+
+def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatArray]) -> list[ReferenceEvent]:
+    """The foot is down while any of its switches is pressed: IC where the first closes, FO where the last opens.
+
+    Times (N,) increase; each of the signals (N,) has two levels, or is a pressure of which the 2nd and 98th percentile
+    are taken for the levels. ``source`` is the file, for messages.
+
+    ReferenceError: none of the switches ever changes.
+    """
+    down = np.zeros(len(t_s), dtype=bool)
+    changed = False
+    for values in signals:
+        low, high = np.nanpercentile(values, [2.0, 98.0]) if np.isfinite(values).any() else (0.0, 0.0)
+        if high > low:
+            changed = True
+            down |= _pressed((values - low) / (high - low))
+    if not changed:
+        raise ReferenceError(f"{source}: the switches of the {foot.replace('_', ' ')} never change; is one broken?")
+    edges: list[int] = []  # that are not followed by their opposite within BOUNCE_S, nor such opposites
+    for k in np.flatnonzero(np.diff(down.astype(np.int8))).tolist():
+        if edges and t_s[k + 1] - t_s[edges[-1] + 1] < BOUNCE_S:
+            edges.pop()
+        else:
+            edges.append(k)
+    return [ReferenceEvent(float(0.5 * (t_s[k] + t_s[k + 1])), foot, "IC" if down[k + 1] else "FO") for k in edges]
+
+
+def _pressed(level: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Schmitt trigger over a level of 0 to 1; a missing sample keeps the state."""
+    state = np.where(level >= ON_SHARE, 1, np.where(level <= OFF_SHARE, 0, -1))
+    known = np.flatnonzero(state >= 0)
+    if not len(known):
+        return np.zeros(len(level), dtype=bool)
+    last = np.maximum.accumulate(np.where(state >= 0, np.arange(len(level)), known[0]))
+    return np.asarray(state[last] == 1)
+
+
+def _switch(table: Table, foot: str | None) -> Reference:
+    t_s = _increasing(table)
+    by_foot: dict[str, list[FloatArray]] = {}
+    for name in table.columns:
+        if whose := _switch_foot(name):
+            by_foot.setdefault(whose, []).append(table.numbers(name))
+    source = str(table.path)
+    events = [event for whose, signals in by_foot.items() for event in switch_events(source, whose, t_s, signals)]
+    return Reference((source,), tuple(sorted(events)))
+
+
+def _switch_foot(name: str) -> str | None:
+    return foot_of(name.split("_")[0]) if not name.endswith(("_x", "_y", "_z")) else None
+
+
+def _paths(table: Table, foot: str | None) -> Reference:
+    t_s, paths, notes = _increasing(table), [], []
+    if {"x", "y", "z"} <= set(table.columns):
+        whose = table.feet(foot)[0]
+        position = np.column_stack([table.numbers(axis) for axis in "xyz"])
+        paths.append(MarkerPath(whose, "sensor", t_s, position))
+        notes.append(f"{table.path.name}: taken for the path of the sensor on the {whose.replace('_', ' ')}")
+    for name in table.columns:
+        found = _MARKER.fullmatch(name)
+        if found is None:
+            continue
+        side, point = foot_of(found[1]), found[2]
+        if side is None or point not in POINTS:
+            raise ReferenceError(
+                f"{table.path}: column {name!r}: a marker is one of {', '.join(POINTS)}, not {point!r}"
+            )
+        base = name.removesuffix("_x")
+        position = np.column_stack([table.numbers(f"{base}_{axis}") for axis in "xyz"])
+        paths.append(MarkerPath(side, point, t_s, position))
+    return Reference((str(table.path),), paths=tuple(paths), notes=tuple(notes))
+
+
+def _belt(table: Table, foot: str | None) -> Reference:
+    name = table.first_of("speed", "belt_speed") or "speed"
+    t_s, speed = _increasing(table), table.numbers(name)
+    if not np.isfinite(speed).all() or np.abs(speed).max() > 10.0:
+        raise ReferenceError(
+            f"{table.path}: a belt's speed is known at all times and below 10 m/s; is it in km/h (speed_kmh)?"
+        )
+    return Reference((str(table.path),), belt=np.column_stack([t_s, speed]))
+
+
+def orientation_columns(table: Table) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Times (N,), quaternions (N, 4) and where the body is said to move (N,), everywhere if nothing says so."""
+    t_s = _increasing(table)
+    quaternion = np.column_stack([table.numbers(name) for name in QUATERNION])
+    moving = np.array(table.flags("moving")) if "moving" in table.columns else np.ones(table.rows, dtype=np.bool_)
+    return t_s, quaternion, moving
+
+
+def _end(table: Table, foot: str | None) -> Reference:
+    feet = table.feet(foot)
+    known = [table.numbers(name) if name in table.columns else np.full(table.rows, np.nan) for name in _ENDS]
+    if len(set(feet)) < len(feet) or not np.isfinite(known).any() or np.nanmin(known[0], initial=0.0) < 0.0:
+        raise ReferenceError(f"{table.path}: needs one row a foot, with end_distance (not negative) or end_height")
+    ends = (ReferenceEnd(feet[k], float(known[0][k]), float(known[1][k])) for k in range(table.rows))
+    return Reference((str(table.path),), ends=tuple(ends))
+
 
 USUAL_LABELS: Final = {
     "heel": ("HEE", "HEEL", "FCC", "CAL", "CALC"),
@@ -27,8 +327,7 @@ def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None
     ``markers`` are label → (foot, point), without it labels as in LHEE, RTOE, L_FCC, right_heel; ``up`` is the
     laboratory's vertical axis.
 
-    Raises:
-        ReferenceError: it cannot be read, holds nothing of the feet, or ezc3d is not installed.
+    ReferenceError: it cannot be read, holds nothing of the feet, or ezc3d is not installed.
     """
     if not path.is_file():
         raise ReferenceError(f"{path}: is not there. Name a C3D file.")
@@ -42,7 +341,7 @@ def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None
         raise ReferenceError(f"{path}: is no readable C3D file: {error}") from error
     try:
         paths, unused = _markers(path, data, markers, up)
-        events = _events(data)
+        events = _c3d_events(data)
     except (KeyError, IndexError, TypeError) as error:
         raise ReferenceError(f"{path}: lacks what a C3D file of motion capture holds: {error}") from error
     if not paths and not events:
@@ -99,7 +398,7 @@ def place_of_label(label: str) -> tuple[str, str] | None:
     return None
 
 
-def _events(data: Mapping[str, Any]) -> list[ReferenceEvent]:
+def _c3d_events(data: Mapping[str, Any]) -> list[ReferenceEvent]:
     group = data["parameters"].get("EVENT")
     if not group or "TIMES" not in group:
         return []
@@ -127,8 +426,7 @@ def read_references(
 
     ``foot`` is whose a table without a column for it is; ``markers`` and ``up`` as of :func:`read_c3d`.
 
-    Raises:
-        ReferenceError: one cannot be used, or two say the same thing.
+    ReferenceError: one cannot be used, or two say the same thing.
     """
     whole = Reference()
     for path in map(Path, paths):

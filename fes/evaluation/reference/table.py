@@ -92,11 +92,7 @@ class Reference:
         return bool(self.events or self.strides or self.paths or len(self.belt) or self.ends)
 
     def joined(self, other: Reference) -> Reference:
-        """Both together.
-
-        Raises:
-            ReferenceError: both hold the same marker, or a belt.
-        """
+        """Both together. ReferenceError: both hold the same marker, or a belt."""
         twice = {(p.foot, p.point) for p in self.paths} & {(p.foot, p.point) for p in other.paths}
         if twice or (len(self.belt) and len(other.belt)):
             what = " ".join(next(iter(twice))).replace("_", " ") if twice else "the belt's speed"
@@ -155,11 +151,7 @@ class Table:
         return next((name for name in names if name in self.columns), None)
 
     def numbers(self, name: str) -> FloatArray:
-        """A column (N,) in SI units, NaN for empty cells.
-
-        Raises:
-            ReferenceError: a cell is no number.
-        """
+        """A column (N,) in SI units, NaN for empty cells. ReferenceError: a cell is no number."""
         out = np.empty(self.rows)
         for row, text in enumerate(self.columns[name]):
             try:
@@ -175,8 +167,7 @@ class Table:
     def feet(self, default: str | None) -> list[str]:
         """The foot of every row: a column ``foot`` or ``side``, else ``default``.
 
-        Raises:
-            ReferenceError: neither is there, or a cell names no foot.
+        ReferenceError: neither is there, or a cell names no foot.
         """
         name = self.first_of("foot", "side", "leg", "limb")
         if name is None:
@@ -205,8 +196,7 @@ def read_columns(path: Path) -> Table:
     A last part of a name that is a unit (``_mm``, ``(ms)``, ``[m]``) is taken off and applied; without one a column is
     in SI.
 
-    Raises:
-        ReferenceError: the file is missing, empty, no text, or ragged.
+    ReferenceError: the file is missing, empty, no text, or ragged.
     """
     if not path.is_file():
         raise ReferenceError(f"{path}: {'is a folder' if path.is_dir() else 'is not there'}. Name a reference's file.")

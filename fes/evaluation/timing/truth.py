@@ -17,9 +17,8 @@ from typing import Any, Final
 import numpy as np
 
 from fes.config import Session
-from fes.evaluation.lag import GRID_S, event_trains, find_lag
-from fes.evaluation.reference.csv_file import BOUNCE_S, TIME, read_csv, switch_events
-from fes.evaluation.reference.read import companion_references, read_c3d
+from fes.evaluation.reference.alignment import GRID_S, event_trains, find_lag
+from fes.evaluation.reference.read import BOUNCE_S, TIME, companion_references, read_c3d, read_csv, switch_events
 from fes.evaluation.reference.table import (
     Reference,
     ReferenceError,
@@ -118,8 +117,7 @@ def read_truth(
     ``path``: a session log; a simulation's recording or its ``.truth.parquet``; C3D; or CSV of events, footfalls, foot
     switches or force. ``plates``: force plate of a C3D, counted from 1 → foot.
 
-    Raises:
-        TimingError, ReferenceError, SessionLogError: it cannot be used; says why.
+    TimingError, ReferenceError, SessionLogError: it cannot be used; says why.
     """
     feet = {foot_of_sensor(sensor) for sensor in sensors}
     if path.is_dir() or not path.is_file():
@@ -228,8 +226,7 @@ def marks_of_channels(source: str, foot: str, t_s: FloatArray, signals: Mapping[
     Times (N,) increase. Contact is where the first switch closes or the force passes 20 N, foot off where the last
     opens. Switches at heel and forefoot show heel off (the heel opens, the forefoot stays) and foot flat as well.
 
-    Raises:
-        ReferenceError: none of the channels ever changes.
+    ReferenceError: none of the channels ever changes.
     """
     force = [values for name, values in signals.items() if _FORCE.search(name)]
     if force:
@@ -424,8 +421,7 @@ def _true_changes(marks: Sequence[Mark], foot: str, unpermitted: set[Mark]) -> t
 def find_offset_s(expected: ExpectedMarks, found: Sequence[Mark]) -> tuple[float, str]:
     """Seconds to add to the truth's times so that its foot offs and contacts meet ours, and why not to believe it.
 
-    Raises:
-        TimingError: there is too little to find it by.
+    TimingError: there is too little to find it by.
     """
     trains: list[list[FloatArray]] = [[], []]
     for kind in sorted(expected.kinds):
@@ -454,8 +450,7 @@ def find_offset_s(expected: ExpectedMarks, found: Sequence[Mark]) -> tuple[float
 def check_clock(expected: ExpectedMarks, found: Sequence[Mark]) -> ExpectedMarks:
     """The truth with a note on its clock.
 
-    Raises:
-        TimingError: it tells of another time than the recording, or is off by so much that nothing could be said.
+    TimingError: it tells of another time than the recording, or is off by so much that nothing could be said.
     """
     if not expected.marks or not found:
         return expected

@@ -16,8 +16,7 @@ from typing import Any, Final
 from drivers.imu.port import ImuLost
 from drivers.simulated.imu.faults import LASTING
 from drivers.simulated.lines import LINE_FAULTS
-from drivers.simulated.process_handle import ProcessHandle
-from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
+from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, ProcessHandle, spawn_device, spawn_node
 from fes.calibration.recording import save
 from fes.config import StimulatorDevice
 from fes.hil.settings import FOOT, PATIENT_CURRENT_MA, RATE_HZ, patient_calibration, patient_session_text
@@ -107,8 +106,7 @@ def spawn_patient(
     turns, so many seconds each. ``waits``: stand until it is to walk. ``held``: its time begins with
     :meth:`PatientHandle.begin`; until then its sensors are silent. ``sensors``: which kind, one on a line of bytes.
 
-    Raises:
-        ImuLost: it ended, or was not ready in time.
+    ImuLost: it ended, or was not ready in time.
     """
     arguments = ["--pulses", str(pulses), "--settings", json.dumps(asdict(settings))]
     arguments += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
@@ -197,8 +195,7 @@ class PatientSensor:
 def campaign_patient(folder: Path, stack: ExitStack, sensors: str = "xbus") -> tuple[PatientHandle, Path, Path]:
     """A patient who walks and stands in turns, the calibration of its sensor, and the socket for its pulses.
 
-    Raises:
-        ImuLost: it does not start.
+    ImuLost: it does not start.
     """
     settings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
     return _worn(settings, folder, stack, cycle_s=CYCLE_S, sensors=sensors)

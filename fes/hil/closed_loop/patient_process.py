@@ -28,12 +28,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from drivers.simulated.imu.capture2go import Air
-from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.radio import Radio
-from drivers.simulated.imu.serial_wires import SERIAL_WIRES, on_its_line, serial_wire
-from drivers.simulated.lines import LINE_FAULTS, LineFaults, PtyEnd
-from drivers.simulated.process_end import STDIN, CommandReader, become_real_time, publish_ready, stop_signals
+from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu
+from drivers.simulated.imu.serial_wires import SERIAL_WIRES, Air, on_its_line, serial_wire
+from drivers.simulated.lines import (
+    LINE_FAULTS,
+    STDIN,
+    CommandReader,
+    LineFaults,
+    PtyEnd,
+    become_real_time,
+    publish_ready,
+    stop_signals,
+)
 from drivers.simulated.record import Pulse, PulseInlet
 from fes.signals import G_MPS2, NS_PER_S, SENSORS
 from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
@@ -113,11 +119,7 @@ class PatientDevice:
         return on_its_line(self._kind, sensor, self._start_ns)
 
     def begin(self, t_ns: int) -> None:
-        """Let the patient's time begin now.
-
-        Raises:
-            ValueError: it has begun.
-        """
+        """Let the patient's time begin now. ValueError: it has begun."""
         if self._start_ns != HELD:
             raise ValueError("the patient's time has begun already")
         self._start_ns = t_ns
@@ -153,11 +155,7 @@ class PatientDevice:
         return self._imus[sensor].receive(t_ns, data)
 
     def set_fault(self, sensor: str, t_ns: int, name: str, value: float) -> list[bytes]:
-        """Bring a sensor's fault about; what it says.
-
-        Raises:
-            ValueError: no such fault or sensor.
-        """
+        """Bring a sensor's fault about; what it says. ValueError: no such fault or sensor."""
         if sensor not in self._imus:
             raise ValueError(f"no sensor {sensor!r} is worn; there are {', '.join(self._imus)}")
         return self._imus[sensor].set_fault(t_ns, name, value)

@@ -122,7 +122,7 @@ def main() -> int:
     os.umask(0o077)
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    listening, link = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
+    link, listening = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
     with link, listening:
         asyncio.run(SessionLink(listening, link).run())
     return 0

@@ -104,11 +104,7 @@ def detail(happened: Mapping[str, Iterable[Any]]) -> bytes:
 
 
 def read_hello(message: bytes) -> dict[str, Any]:
-    """Back from the message.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Back from the message. ValueError: it is none."""
     if message[:1] != HELLO:
         raise ValueError("the first message must be the session's")
     return dict(json.loads(message[1:]))
@@ -117,8 +113,7 @@ def read_hello(message: bytes) -> dict[str, Any]:
 def read_detail(message: bytes) -> dict[str, list[Any]]:
     """Back from the message: lists by name; strides as dicts, None for NaN, their path x forward and z up in turn (m).
 
-    Raises:
-        ValueError: it is none.
+    ValueError: it is none.
     """
     try:
         happened = dict(zip(NAMES, msgpack.unpackb(message[1:]), strict=True))

@@ -3,8 +3,6 @@
 import http.client
 import secrets
 import socket
-import subprocess
-import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +14,7 @@ from fes.live.dashboard.access import LOOPBACK, link_address, write_link
 from fes.live.dashboard.frames import END, hello
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.operator import INTENSITY_STEP, question_of_side, unchecked_side
-from fes.live.processes import end_helper
+from fes.live.processes import end_helper, start_helper
 
 LINK_NAME: Final = "page.url"
 ERRORS_NAME: Final = "page.log"
@@ -54,8 +52,7 @@ def about_session(session: Session, mode: str, calibrated: Iterable[str] = ()) -
 def press_stop(port: int) -> None:
     """Ask the dashboard on this port for an emergency stop; returns when its process has handed that on.
 
-    Raises:
-        OSError: nobody serves there, or it refuses.
+    OSError: nobody serves there, or it refuses.
     """
     connection = http.client.HTTPConnection(LOOPBACK, port, timeout=ANSWER_WAIT_S)
     try:
@@ -74,8 +71,7 @@ class DashboardProcess:
 
     For ``about`` see :func:`about_session`; port 0 takes a free one.
 
-    Raises:
-        OSError: the port is taken, or the folder cannot be written.
+    OSError: the port is taken, or the folder cannot be written.
     """
 
     def __init__(self, folder: Path, about: dict[str, Any], port: int = 0) -> None:
@@ -94,10 +90,10 @@ class DashboardProcess:
             write_link(self._url_file, self.url)
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             with theirs, self._errors.open("wb") as errors:
-                given = listening.fileno(), theirs.fileno()
-                command = [sys.executable, "-m", "fes.live.dashboard", *map(str, given)]
-                said: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": errors, "stderr": errors}
-                self.process = subprocess.Popen(command, pass_fds=given, start_new_session=True, **said)
+                served = listening.fileno()
+                self.process = start_helper(
+                    "fes.live.dashboard", theirs, served, also=(served,), stdout=errors, stderr=errors
+                )
         # the token goes this way: a command line can be read by everybody on the machine
         ours.send(hello({**about, "token": token, "url_file": str(self._url_file.absolute())}))
         self.stream = DashboardStream(ours)

@@ -99,11 +99,7 @@ class StoppableClock:
         return time.monotonic_ns()
 
     def wait_until_ns(self, t_ns: int) -> None:
-        """Wait; returns at once when the time has passed.
-
-        Raises:
-            KeyboardInterrupt: the dashboard's stop was pressed.
-        """
+        """Wait; returns at once when the time has passed. KeyboardInterrupt: the dashboard's stop was pressed."""
         while (left_ns := t_ns - time.monotonic_ns()) > 0:
             if self._stream.lost:
                 time.sleep(left_ns * 1e-9)
@@ -113,11 +109,7 @@ class StoppableClock:
             self.check_stop()
 
     def check_stop(self) -> None:
-        """Whether a stop has come.
-
-        Raises:
-            KeyboardInterrupt: it has.
-        """
+        """Whether a stop has come. KeyboardInterrupt: it has."""
         self._checked_ns = time.monotonic_ns()
         for message in self._stream.receive():
             with suppress(CommandRefused):

@@ -132,8 +132,7 @@ class DashboardCommands:
     def _command(self, message: bytes) -> OperatorCommand | None:
         """The command; None where it means nothing as the session stands.
 
-        Raises:
-            CommandRefused: it is none that the dashboard may give.
+        CommandRefused: it is none that the dashboard may give.
         """
         if message == RESUME_MESSAGE:
             return OperatorCommand(CommandKind.PAUSE, origin=ORIGIN) if self.state() is State.PAUSED else None

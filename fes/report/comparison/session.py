@@ -92,8 +92,7 @@ class ComparedSession:
 def read_compared(path: Path, label: str) -> ComparedSession:
     """A session log, a folder that holds one, or a recording.
 
-    Raises:
-        ComparisonProblem: it cannot be read, or nobody walks in it.
+    ComparisonProblem: it cannot be read, or nobody walks in it.
     """
     if path.is_dir():
         logs = sorted(path.glob(f"*{LOG}"))
@@ -113,8 +112,7 @@ def read_compared(path: Path, label: str) -> ComparedSession:
 def of_record(record: SessionRecord, label: str, path: Path) -> ComparedSession:
     """A log that was read; its samples are analysed, with the calibration that it was run with.
 
-    Raises:
-        ComparisonProblem: nobody walks in it.
+    ComparisonProblem: nobody walks in it.
     """
     own = summarise(record)
     recording = recording_of(record, path)

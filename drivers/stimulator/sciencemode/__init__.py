@@ -1,1 +1,0 @@
-"""HASOMED ScienceMode2 and ScienceMode4: framing, codecs, ports."""

@@ -1,1 +1,0 @@
-"""What the commands share: exit codes, options, progress, tables."""

@@ -1,1 +1,0 @@
-"""``fes timing``: when transitions and stimulation happen, against a truth and a baseline."""
