@@ -24,7 +24,6 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.backward import SETS, reversed_in_time
 from benchmarks.accuracy.every_walker import feet_of
 from benchmarks.accuracy.orientation_sets import broad
 from benchmarks.accuracy.stroke_treadmill import data_folder, track_of
@@ -43,6 +42,7 @@ WALKED_S, STOOD_S, SHAKEN_S = 25, 30, 30.0
 PLANTED = 60
 NEAR_DEG, SHARE_NEAR = 8.0, 0.95
 SLOW_MPS = 0.36
+SETS = ("stroke_treadmill", "pyshoe_vicon", "ruler_walks", "gaitmap_walk", "footswitch_treadmill", "stroke_walks")
 FAULT_WORDS = (
     "backward",
     "sideways",
@@ -93,6 +93,18 @@ def judged(seed: int, settings: PatientSettings, track: Track) -> Foot:
     sd = float(np.degrees(found.axis_sd_rad))
     return replace(
         one, strides=found.strides, error_deg=float(off), across_deg=float(off + np.degrees(TOE_OUT_RAD)), sd_deg=sd
+    )
+
+
+def reversed_in_time(track: Track) -> Track:
+    """The same movement, last sample first: joints go nearly the same way (Winter et al. 1989, Hum Mov Sci 8)."""
+    t_ns, t_sensor_ns = track.t_ns, track.t_sensor_ns
+    return replace(
+        track,
+        t_ns=t_ns[0] + t_ns[-1] - t_ns[::-1],
+        t_sensor_ns=t_sensor_ns[0] + t_sensor_ns[-1] - t_sensor_ns[::-1],
+        acc_mps2=track.acc_mps2[::-1].copy(),
+        gyr_radps=-track.gyr_radps[::-1],
     )
 
 
