@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.accuracy_bars import (
+from benchmarks.accuracy.accuracy_rows import (
     BELT,
+    CAUSAL,
     CLOSURE,
     HEEL,
     LENGTH_GIVEN,
@@ -16,26 +17,32 @@ from benchmarks.accuracy.accuracy_bars import (
     LIFT_ARM,
     LIFT_GIVEN,
     LIFT_OWN,
+    OFFLINE,
     PATH,
     PHASES,
     SHANK_BELT,
     STRIKE,
     TOE,
+    Row,
+    row_of,
 )
-from benchmarks.accuracy.accuracy_row import CAUSAL, OFFLINE, Row, row_of
-from benchmarks.accuracy.ankle import evaluate as evaluate_shanks
 from benchmarks.accuracy.clearance import marker_rows
 from benchmarks.accuracy.events import METHODS as EVENT_METHODS
-from benchmarks.accuracy.events import Score, holds, score, strike_angles, strike_score
-from benchmarks.accuracy.lift import clearance_errors
-from benchmarks.accuracy.orientation import orientation_rows as measure_orientation
-from benchmarks.accuracy.orientation_methods import METHODS as FILTERS
-from benchmarks.accuracy.stride_length import FUSED, METHODS, belt_ratios, strides_between, strides_of
-from benchmarks.accuracy.stroke_treadmill import evaluate as evaluate_feet
-from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, path_of
-from benchmarks.accuracy.zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
-from benchmarks.lib.event_cases import gaitmap_cases, stroke_tracks
-from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk
+from benchmarks.accuracy.events import Score, holds, score, strike_angles, strike_score, stroke_tracks
+from benchmarks.accuracy.orientation import FILTERS, broad, gaitmap_pitch, upward
+from benchmarks.accuracy.shank_phases import evaluate as evaluate_shanks
+from benchmarks.accuracy.stride_length import (
+    FUSED,
+    METHODS,
+    belt_ratios,
+    clearance_errors,
+    strides_between,
+    strides_of,
+)
+from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, lengths_m, path_of
+from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_cases, gaitmap_walk, pyshoe, xio
+from benchmarks.lib.swing_judge import score as order
+from benchmarks.lib.walkers import calibrate, causal, stroke_treadmill, swings_of
 from benchmarks.peers.cases import OUR_ENDS, Asked
 from benchmarks.peers.judge import f1_row, orientation_row, own_border_errors, strides_hit
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
@@ -46,7 +53,7 @@ from fes.signals import StrideResult
 NAMES = {"maximum_likelihood": "fes maximum likelihood (default)", "constrained": "fes constrained (Negård)"}
 NAMES[FUSED] = "fes analyse (maximum likelihood and ZUPT)"
 KNOWN = {"maximum_likelihood": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
-ZUPT = {False: "fes ZUPT filter, forward", True: "fes ZUPT filter, smoothed"}
+ZUPT = "fes ZUPT filter, smoothed"
 LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
 
 
@@ -116,28 +123,22 @@ def arm_rows() -> list[Row]:
     """Lift on pyshoe_vicon, whose marker is not at the sensor, through the arm that fits best."""
     rows = []
     for method in METHODS[:-1]:
-        for errors in clearance_errors(method, strides_of).values():
+        for errors in clearance_errors(method).values():
             rows.append(row_of("pyshoe_vicon", LIFT_ARM, "cm", NAMES[method], KNOWN[method], 100.0 * np.array(errors)))
     return rows
 
 
 def zupt_rows(folder: Path, asked: list[Asked]) -> list[Row]:
-    """Length between the references' borders by the filter that runs through the whole recording; the loop's gap."""
-    rows = []
-    groups: list[list[BorderedWalk]] = [walks for walks in (pyshoe(folder), ruler(folder), gaitmap(folder)) if walks]
-    loop = xio(folder)
-    for smoothed, known in ((False, CAUSAL), (True, OFFLINE)):
-        for walks in groups:
-            errors = []
-            of_set = (one for one in asked if one.walk is not None and one.data_set == walks[0].data_set)
-            for walk, one in zip(walks, of_set, strict=True):
-                lengths = path_of(walk.track, smoothed=smoothed).stride_lengths(walk.begin_ns, walk.end_ns)
-                errors += (100.0 * (lengths - one.length_m)).tolist()
-            rows.append(row_of(walks[0].data_set, LENGTH_GIVEN, "cm", ZUPT[smoothed], known, errors, 1.0))
-        if loop is not None:
-            rows.append(
-                row_of("xio_walk", CLOSURE, "m", ZUPT[smoothed], known, [evaluate_loop(loop, smoothed=smoothed).gap_m])
-            )
+    """Length between the references' borders by the smoother over the whole recording; the loop's gap."""
+    rows, walks = [], [(one, one.walk) for one in asked if one.walk is not None]
+    for data_set in dict.fromkeys(one.data_set for one, _ in walks):
+        errors = []
+        for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
+            begin_ns, end_ns = walk.track.t_ns[one.case.borders].T
+            errors += (100.0 * (lengths_m(path_of(walk.track)[1], begin_ns, end_ns) - one.length_m)).tolist()
+        rows.append(row_of(data_set, LENGTH_GIVEN, "cm", ZUPT, OFFLINE, errors, 1.0))
+    if loop := xio(folder):
+        rows.append(row_of("xio_walk", CLOSURE, "m", ZUPT, OFFLINE, [evaluate_loop(loop).gap_m]))
     return rows
 
 
@@ -146,10 +147,9 @@ def rest_rows(folder: Path) -> list[Row]:
     walks = pyshoe(folder)
     rows = []
     for detector in Detector if walks else ():
-        for causal in (True, False):
-            r = evaluate_detector(detector, walks, use_standing=True, causal=causal)
-            known = CAUSAL if causal else OFFLINE
-            rows.append(f1_row("pyshoe_vicon", f"fes {r.detector}", known, len(walks), r.f1, r.recall, r.worst_f1))
+        for known in (CAUSAL, OFFLINE):
+            r = evaluate_detector(detector, walks, use_standing=True, causal=known == CAUSAL)
+            rows.append(f1_row("pyshoe_vicon", f"fes {r.detector.name}", known, len(walks), r.f1, r.recall, r.worst_f1))
     return rows
 
 
@@ -167,7 +167,7 @@ def stroke_rows(folder: Path) -> list[Row]:
     for name, key in (("fes shank, arm learnt", "learnt"), ("fes shank, velocity to zero", "zupt")):
         errors = [100.0 * (getattr(shank, key) - 1.0) for shank in shanks]
         rows.append(row_of(data_set, SHANK_BELT, "%", name, CAUSAL, errors))
-    feet = [foot for path in paths for foot in evaluate_feet(path)]
+    feet = [order(swings_of(foot), *causal(foot.track, calibrate(foot.track))) for foot in stroke_treadmill(folder, "")]
     shares = [foot.in_order / foot.strides for foot in feet]
     strides = sum(foot.strides for foot in feet)
     recall = sum(foot.in_order for foot in feet) / strides
@@ -222,17 +222,14 @@ def _event_row(s: Score) -> Row:
 
 
 def orientation_rows(folder: Path) -> list[Row]:
-    """Our orientation filter; others of the same benchmark run among the peers."""
-    rows = measure_orientation(folder, tuple(method for method in FILTERS if method.package == "fes"))
-    return [
-        orientation_row(
-            row.data_set,
-            f"fes orientation filter{'' if row.causal else ', smoothed'}",
-            CAUSAL if row.causal else OFFLINE,
-            list(row.trials.values()),
-        )
-        for row in rows
-    ]
+    """Our orientation filter; others run among the peers."""
+    rows = []
+    for trials in (broad(folder), gaitmap_pitch(folder)):
+        for known, follow in FILTERS.items():
+            errors = [t.score(upward(follow(t.acc_mps2, t.gyr_radps, t.rate_hz).quaternion)) for t in trials]
+            name = f"fes orientation filter{'' if known == CAUSAL else ', smoothed'}"
+            rows += [orientation_row(trials[0].data_set, name, known, errors)] if trials else []
+    return rows
 
 
 def clearance_rows(folder: Path) -> list[Row]:

@@ -24,12 +24,13 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.every_walker import feet_of
 from benchmarks.accuracy.orientation_sets import broad
-from benchmarks.accuracy.stroke_treadmill import data_folder, track_of
 from benchmarks.lib.command_line import console_of, parser_of, publish, verdict
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import feet_of
 from benchmarks.loop.tuning_cohort import chosen
 from fes.calibration.recording import calibrate_track
+from fes.datasets.common import even_track
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.recording import Track
 from fes.signals import G_MPS2, NS_PER_S, FloatArray
@@ -135,7 +136,7 @@ def shaken(seed: int) -> Track:
     force[:, 2] += G_MPS2
     noise = random.normal(size=(2, len(t_s), 3)) * np.array([0.02, 0.002])[:, None, None]
     gyr = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
-    return track_of("right_foot", rate_hz, turned.inv().apply(force) + noise[0], gyr + noise[1])
+    return even_track("right_foot", rate_hz, turned.inv().apply(force) + noise[0], gyr + noise[1])
 
 
 def standing(settings: PatientSettings) -> Track:
@@ -156,7 +157,7 @@ def planted(
         yield "virtual, standing", "strides found", standing(settings), track
         yield "shaken by hand", "", shaken(number), track
     for trial in broad(data):
-        yield "a board", "", track_of("right_foot", trial.rate_hz, trial.acc_mps2, trial.gyr_radps), track
+        yield "a board", "", even_track("right_foot", trial.rate_hz, trial.acc_mps2, trial.gyr_radps), track
     for foot in feet_of(data, SETS):
         yield f"{foot.data_set}, backward", "backward", reversed_in_time(foot.track), foot.track
 
@@ -231,7 +232,7 @@ def main(arguments: list[str] | None = None) -> int:
     publish(console, [axis_table(feet), table], options, off)
     near = sum(abs(one.error_deg) <= NEAR_DEG for one in feet) >= SHARE_NEAR * len(feet)
     signs = not any(abs(one.error_deg) > 90.0 for one in feet)
-    return verdict(console, near and signs and not any(one.refused for one in feet), several=True)
+    return verdict(console, near and signs and not any(one.refused for one in feet))
 
 
 if __name__ == "__main__":

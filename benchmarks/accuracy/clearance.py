@@ -28,10 +28,10 @@ from rich.table import Table
 from scipy.signal import butter, filtfilt
 
 from benchmarks.accuracy.bundled_trials import NAMES, TRIALS
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import console_of, parser_of, publish
-from benchmarks.lib.real_sets import STRAIGHT_RAD, _two_header_lines, gaitmap_walk
+from benchmarks.lib.real_sets import STRAIGHT_RAD, data_folder, gaitmap_walk
 from fes.calibration.recording import calibrate_track
+from fes.datasets.common import two_header_csv
 from fes.estimation.clearance.clearance import (
     HEEL,
     TOE,
@@ -106,7 +106,7 @@ def marked_strides(folder: Path) -> dict[str, list[MarkedStride]]:
     """Side → strides of the walk with markers; empty where it is absent."""
     found: dict[str, list[MarkedStride]] = {}
     for walk in gaitmap_walk(folder):
-        columns = _two_header_lines(folder / "gaitmap_walk" / "mocap_sample.csv")
+        columns = two_header_csv(folder / "gaitmap_walk" / "mocap_sample.csv")
         place = {
             name: np.column_stack([columns[f"{walk.name[0].upper()}_{name}", axis] for axis in "xyz"]) / 1000.0
             for name in ("TOE", "FCC")

@@ -25,11 +25,10 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import calibrate, causal
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.accuracy.true_steps import Kind, Step, classified, floor_walks, marker_steps, sensor_steps
 from benchmarks.lib.command_line import console_of, parser_of, publish
-from benchmarks.lib.event_cases import gaitmap_cases
+from benchmarks.lib.real_sets import data_folder, gaitmap_cases
+from benchmarks.lib.walkers import calibrate, causal
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings

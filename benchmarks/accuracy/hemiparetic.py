@@ -36,12 +36,11 @@ from benchmarks.accuracy.hemiparetic_walks import (
     clock,
     ground,
     known_walks,
-    stairs,
     stroke_run,
     told_side,
 )
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, runs_of
 from benchmarks.lib.command_line import console_of, parser_of, save
+from benchmarks.lib.real_sets import data_folder, load_run, runs_of, stairs
 from fes.analysis.hemiparetic.walk import SIGNS
 from fes.recording import Recording
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.parameters import BUNDLED, TRIALS, virtual_walk
-from benchmarks.accuracy.shank_phases import gaitmap_feet
-from benchmarks.accuracy.stroke_treadmill import LAST_S, load_run, mid_swings
-from benchmarks.lib.event_cases import gaitmap_cases
+from benchmarks.lib.real_sets import LAST_S, gaitmap_cases, gaitmap_feet, load_run
+from benchmarks.lib.swing_judge import mid_swings
 from fes.analysis.hemiparetic.foot import FootTrack
 from fes.analysis.hemiparetic.sync import Offset, Samples, offset
 from fes.analysis.hemiparetic.walk import HemipareticWalk, Terrain, feet_of, hemiparetic_walk, windows_of

@@ -23,10 +23,9 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import SETS, feet_of
-from benchmarks.accuracy.hemiparetic_walks import stairs
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.real_sets import data_folder, stairs
+from benchmarks.lib.walkers import SETS, feet_of
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.calibration.recording import calibrate_track
 from fes.config import FootGeometry, Ground

@@ -29,9 +29,9 @@ from scipy.interpolate import BPoly
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.every_walker import calibrate, causal
-from benchmarks.accuracy.stroke_treadmill import track_of
 from benchmarks.lib.command_line import console_of, parser_of, publish, spread, verdict
+from benchmarks.lib.walkers import calibrate, causal
+from fes.datasets.common import even_track
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import Track
 from fes.signals import FloatArray
@@ -182,7 +182,7 @@ def _track(
     mount = Rotation.from_euler("yxz", random.normal(0.0, [18.0, 8.0, 10.0]), degrees=True)
     acc = mount.inv().apply(acc) + random.normal(0.0, 0.15, 3) + random.normal(0.0, 0.05, acc.shape)
     gyr = mount.inv().apply(gyr) + random.normal(0.0, 0.005, 3) + random.normal(0.0, 0.008, gyr.shape)
-    return track_of("right_foot", float(RATE_HZ), acc, gyr)
+    return even_track("right_foot", float(RATE_HZ), acc, gyr)
 
 
 def judge(made: Made) -> Late:
@@ -237,7 +237,7 @@ def main(arguments: list[str] | None = None) -> int:
         table.add_row(landing, pace, str(late.feet), str(late.refused), str(late.strides), spread(late.t1), found[0],
                       spread(late.t4), found[1], *cost, "met" if holds(late) else "missed")  # fmt: skip
     publish(console, [table], options)
-    return verdict(console, held, several=True)
+    return verdict(console, held)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ their own, and the foot that is dragged by stick and slip, whose instants are no
 from __future__ import annotations
 
 import os
-import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -29,25 +28,12 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import (
-    DRIFTING,
-    LYING,
-    SETS,
-    SHORT_FLAT,
-    Foot,
-    Found,
-    against_labels,
-    against_markers,
-    calibrate,
-    causal,
-    feet_of,
-    swings_of,
-)
+from benchmarks.accuracy.every_walker import Found, against_labels, against_markers
 from benchmarks.accuracy.severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish, save
-from benchmarks.lib.event_cases import NAMES, TRIALS
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, save
+from benchmarks.lib.real_sets import NAMES, TRIALS, data_folder
 from benchmarks.lib.swing_judge import pairs, score
+from benchmarks.lib.walkers import DRIFTING, LYING, SETS, SHORT_FLAT, Foot, calibrate, causal, feet_of, swings_of
 from fes.cohort.sweep.grid import Point
 from fes.cohort.sweep.task import with_thresholds
 from fes.estimation.foot import calibration as foot_calibration
@@ -239,8 +225,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     feet = list(all_feet(options.data, options.only))
     if all(foot.data_set == "bundled" for foot in feet):
-        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(options.data)
     walkers: dict[Walker, list[int]] = defaultdict(list)
     for at, foot in enumerate(feet):
         walkers[foot.data_set, foot.person].append(at)

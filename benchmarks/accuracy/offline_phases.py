@@ -14,7 +14,6 @@ Where the switches lie under a foot differs between walkers by more than the rul
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -24,11 +23,10 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.accuracy.bundled_trials import TRIALS
-from benchmarks.accuracy.every_walker import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
-from benchmarks.lib.real_sets import PathWalk, marker_strides
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish
+from benchmarks.lib.real_sets import PathWalk, data_folder, marker_strides
 from benchmarks.lib.swing_judge import pairs
+from benchmarks.lib.walkers import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
 from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stance_instants
@@ -139,8 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = [table]
     later = measured(options.data)
     if not later:
-        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(options.data)
     rules = (("foot flat", FLAT_DEG, FLAT_RAD, "T4"), ("heel rise", RISE_DEG, RISE_RAD, "T1"))
     columns = [word for rule, _, _, live in rules for word in (f"{rule} ms", "left out ms", f"live {live} ms")]
     table = Table("walker", *columns, title="later than the label, median ± SD")

@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.ankle import evaluate as shanks_of
-from benchmarks.accuracy.stroke_treadmill import LAST_S, data_folder
+from benchmarks.accuracy.shank_phases import evaluate as shanks_of
 from benchmarks.lib.command_line import parser_of
 from benchmarks.lib.figures import Figures, Result, digest
+from benchmarks.lib.real_sets import LAST_S, data_folder
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis

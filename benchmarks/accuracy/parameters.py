@@ -31,7 +31,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks.lib.command_line import console_of, parser_of, save, verdict
-from benchmarks.lib.event_cases import data_folder, gaitmap_cases
+from benchmarks.lib.real_sets import data_folder, gaitmap_cases
 from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.motion import motions, pitches, variations
@@ -270,7 +270,7 @@ def main(arguments: list[str] | None = None) -> int:
     missed = sum(len(e.missed()) for e in results)
     if missed:
         console.print(f"Missed: {missed}")
-    return verdict(console, not missed, several=True)
+    return verdict(console, not missed)
 
 
 def _cell(value: tuple[float, float], digits: int, missed: bool) -> str:

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.stroke_treadmill import data_folder, track_foot
 from benchmarks.lib.command_line import console_of, parser_of, publish, verdict
-from benchmarks.lib.real_sets import PathWalk, gaitmap_walk
+from benchmarks.lib.real_sets import PathWalk, data_folder, gaitmap_walk
+from benchmarks.lib.walkers import outcomes_of
 from benchmarks.loop.closed_loop_walk import calibration_of, walk
 from benchmarks.loop.tuning_cohort import channel_of, session_with
 from fes.calibration.recording import calibrate_track
@@ -115,7 +115,7 @@ def marker_rows(folder: Path) -> Iterator[Row]:
         inward = 1.0 if one.name == "right" else -1.0
         marked, at_s = inward * np.arcsin(one.frame[:, 2, 1]), np.arange(len(one.frame)) / one.rate_hz
         pairs = []
-        for stride in track_foot(one.track, calibrate_track(one.track)):
+        for stride in outcomes_of(one.track, calibrate_track(one.track)):
             if not isinstance(stride, StrideResult) or not stride.valid or not one.comparable(stride):
                 continue
             contact_ns, roll = stride.t_loading_response_ns, roll_at_contact_rad(stride)
@@ -145,7 +145,7 @@ def main(arguments: list[str] | None = None) -> int:
     said = "Estimate − truth at initial contact, inversion positive, mean ± SD over strides."
     publish(console, [table], options, [said])
     held = all(abs(row.bias_deg) <= BIAS_DEG and row.sd_deg <= SD_DEG for row in virtual)
-    return verdict(console, held, several=True)
+    return verdict(console, held)
 
 
 if __name__ == "__main__":

@@ -24,9 +24,10 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import TIMES, Foot, calibrate, causal, stroke_walks
-from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.accuracy.every_walker import TIMES
 from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import Foot, calibrate, causal, stroke_walks
 from fes.estimation.foot.calibration import CalibrationError
 from statemachine.phases import PhaseChange, Transition
 

@@ -23,8 +23,9 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.every_walker import before_the_jump, stamped
-from benchmarks.lib.event_cases import _two_row_table
+from benchmarks.accuracy.every_walker import stamped
+from benchmarks.lib.walkers import before_the_jump
+from fes.datasets.common import two_header_csv
 from fes.recording import Track
 from fes.signals import G_MPS2, FloatArray
 
@@ -104,7 +105,7 @@ def crossings(leaving: FloatArray, landing: list[FloatArray], first: int) -> tup
 
 def marker_steps(folder: Path, side: str) -> list[Step]:
     """All steps of one foot of gaitmap_walk."""
-    table = _two_row_table(folder / "gaitmap_walk" / "mocap_sample.csv")
+    table = two_header_csv(folder / "gaitmap_walk" / "mocap_sample.csv")
     heel, toe = (
         np.column_stack([table[f"{side[0].upper()}_{name}", axis] for axis in "xyz"]) * 1e-3 for name in ("FCC", "TOE")
     )

@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import calibrate
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import console_of, parser_of, publish, spread, verdict
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import calibrate
 from benchmarks.loop.predicted_onset import Walked, walks
 from benchmarks.safety.coarse_check import LIMITS
 from drivers.imu import capture2go_codec as c2g
@@ -444,7 +444,7 @@ def main(arguments: list[str] | None = None) -> int:
     console = console_of(200)
     publish(console, [table, gone], options, [said])
     held = bar.within >= SOONEST and on_ms.max() <= most_ms and not any(f.over for f in figures.values())
-    return verdict(console, held, several=True)
+    return verdict(console, held)
 
 
 if __name__ == "__main__":

@@ -32,10 +32,9 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import DRIFTING, LYING, calibrate, feet_of
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import console_of, parser_of, publish, spread, verdict
-from benchmarks.lib.real_sets import PathWalk, marker_strides
+from benchmarks.lib.real_sets import PathWalk, data_folder, marker_strides
+from benchmarks.lib.walkers import DRIFTING, LYING, calibrate, feet_of
 from benchmarks.safety.coarse_check import LIMITS
 from fes.analysis.swings import find_swings
 from fes.config import Session

@@ -25,8 +25,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import welch
 
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, mid_swings, track_foot
-from benchmarks.lib.real_sets import gaitmap_walk
+from benchmarks.lib.real_sets import data_folder, gaitmap_walk, load_run
+from benchmarks.lib.swing_judge import mid_swings
+from benchmarks.lib.walkers import outcomes_of
 from fes.calibration.recording import calibrate_track
 from fes.recording import Track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
@@ -83,7 +84,7 @@ class Curves:
 def look(group: str, name: str, track: Track, speed_mps: float) -> tuple[Seen, Curves]:
     """Calibrate and track one foot with default settings, and measure its signals while it walks."""
     calibration = calibrate_track(track)
-    outcomes = track_foot(track, calibration)
+    outcomes = outcomes_of(track, calibration)
     strides = [one for one in outcomes if isinstance(one, StrideResult) and one.valid and one.stride_length_m > 0.3]
     changes = [one for one in outcomes if not isinstance(one, StrideResult)]
     toe_up = -track.gyr_radps @ np.array(calibration.toe_down)

@@ -26,12 +26,14 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import SETS, calibrate, feet_of, percent
-from benchmarks.accuracy.stroke_treadmill import data_folder, track_of
-from benchmarks.lib.command_line import console_of, parser_of, save
+from benchmarks.accuracy.every_walker import percent
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, save
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import SETS, calibrate, feet_of
 from benchmarks.loop.tuning_cohort import drawn
 from fes.analysis.swings import find_swings
 from fes.config import Channel, Stimulation
+from fes.datasets.common import even_track
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, stride_settings
@@ -81,7 +83,7 @@ def slow_virtual(first: int, patients: int) -> Iterator[tuple[str, Track]]:
         settings = replace(drawn(seed, 0), sensors=("right_foot",), speed_mps=round(Random(seed).uniform(0.2, 0.36), 2))
         samples = VirtualPatient(settings).advance(40 * NS_PER_S)
         acc, gyr = (np.array([getattr(sample, name) for sample in samples]) for name in ("acc_mps2", "gyr_radps"))
-        yield "virtual, slow", track_of("right_foot", settings.rate_hz, acc, gyr)
+        yield "virtual, slow", even_track("right_foot", settings.rate_hz, acc, gyr)
 
 
 def bursts_of(track: Track, calibration: Calibration) -> list[Span]:
@@ -194,8 +196,7 @@ def main() -> int:
         spoilt(track, standing(track), counts, rng)
     real = [counts for name, counts in groups.items() if not name.startswith("virtual")]
     if not real:
-        print(f"No recordings in {asked.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(asked.data)
     total = Counts(*(sum(column) for column in zip(*map(astuple, real), strict=True)))
     table = Table("set", "sensors", "bursts", "refused", "standing, min", "always: s", "%", "random: s", "of s", "%")
     for name, c in (*groups.items(), ("all real", total)):

@@ -24,12 +24,13 @@ from random import Random
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import SETS, feet_of
-from benchmarks.accuracy.stroke_treadmill import data_folder, track_of
 from benchmarks.lib.command_line import console_of, parser_of, save
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import SETS, feet_of
 from benchmarks.loop.tuning_cohort import drawn
 from benchmarks.safety.wrong_unit import sensors as labelled_sensors
 from benchmarks.safety.wrong_unit import swings
+from fes.datasets.common import even_track
 from fes.estimation.foot.calibration import CalibrationError
 from fes.gate.plausibility import Plausibility
 from fes.recording import Track
@@ -115,7 +116,7 @@ def virtual(first: int, patients: int) -> Iterator[tuple[str, Track]]:
         for sensor in settings.sensors:
             own = [sample for sample in samples if sample.sensor == sensor]
             acc, gyr = (np.array([getattr(sample, name) for sample in own]) for name in ("acc_mps2", "gyr_radps"))
-            yield f"virtual {sensor.split('_')[1]}", track_of(sensor, settings.rate_hz, acc, gyr)
+            yield f"virtual {sensor.split('_')[1]}", even_track(sensor, settings.rate_hz, acc, gyr)
 
 
 def sound_parts(name: str, track: Track) -> list[slice]:

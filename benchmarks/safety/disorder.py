@@ -33,12 +33,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.accuracy.every_walker import SETS, Foot, calibrate, feet_of, swings_of
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import console_of, parser_of, verdict
 from benchmarks.lib.figures import Figures
 from benchmarks.lib.figures import Result as Kept
+from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.swing_judge import in_order
+from benchmarks.lib.walkers import SETS, Foot, calibrate, feet_of, swings_of
 from benchmarks.loop.closed_loop_walk import walk
 from benchmarks.loop.tuning_cohort import channel_of
 from fes.analysis.swings import Swings, find_swings
@@ -428,7 +428,7 @@ def main() -> int:
         kept.keep(options.json)
     told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
-    return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt), several=True)
+    return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt))
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, runs_of
 from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.real_sets import data_folder, load_run, runs_of
 from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import tell_sides
 from fes.datasets.packed_walks import read_stroke_walks

@@ -26,9 +26,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import calibrate
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import calibrate
 from benchmarks.loop.by_radio import EARLY_NS, MS, RATE_HZ, Walk, by_cable, overlap_ns, session_of, stances
 from benchmarks.safety.witness import (
     Change,

@@ -30,10 +30,10 @@ from scipy.signal import lfilter
 
 from benchmarks.accuracy.ankle import calibrate as calibrate_shank
 from benchmarks.accuracy.ankle import load_shanks
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, track_of
-from benchmarks.lib.real_sets import all_walks
+from benchmarks.lib.real_sets import all_walks, data_folder, load_run
 from benchmarks.loop.tuning_cohort import patient
 from fes.calibration.recording import calibrate_track
+from fes.datasets.common import even_track
 from fes.gate.freshness import MAX_SAME_MS
 from fes.gate.plausibility import BOUNDS, place_of
 from fes.recording import Track, read_recording
@@ -147,7 +147,7 @@ def sensors() -> Iterator[tuple[str, Track, FloatArray]]:
             yield "stroke survivors, feet", track, np.array(calibrate_track(track).up)
         shanks, rate_hz, _ = load_shanks(path)
         for sensor, (acc, gyr) in shanks.items():
-            track = track_of(sensor, rate_hz, acc, gyr)
+            track = even_track(sensor, rate_hz, acc, gyr)
             yield "stroke survivors, shanks", track, np.array(calibrate_shank(sensor, rate_hz, acc, gyr).up)
     for walk in all_walks():
         yield walk.data_set, walk.track, np.array(calibrate_track(walk.track).up)
@@ -160,7 +160,7 @@ def virtual(first: int, patients: int) -> Iterator[tuple[str, Track, FloatArray]
         samples = VirtualPatient(settings).advance(WALKED_S * NS_PER_S)
         acc, gyr = (np.array([getattr(sample, name) for sample in samples]) for name in ("acc_mps2", "gyr_radps"))
         slow = 0.3 * int(settings.speed_mps / 0.3)
-        track = track_of(settings.affected_foot, settings.rate_hz, acc, gyr)
+        track = even_track(settings.affected_foot, settings.rate_hz, acc, gyr)
         yield f"virtual drop feet, {slow:.1f}–{slow + 0.3:.1f} m/s", track, np.array(calibration.up)
 
 

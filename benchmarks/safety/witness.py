@@ -26,19 +26,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.accuracy.every_walker import (
-    Foot,
-    footswitch_treadmill,
-    gaitmap,
-    measured_walks,
-    pyshoe_vicon,
-    ruler_walks,
-    stroke_treadmill,
-    stroke_walks,
-)
-from benchmarks.accuracy.stroke_treadmill import data_folder
 from benchmarks.lib.command_line import parser_of
 from benchmarks.lib.figures import Figures, Result, digest
+from benchmarks.lib.real_sets import data_folder, pyshoe_vicon, ruler_walks
+from benchmarks.lib.walkers import Foot, footswitch_treadmill, gaitmap, measured_walks, stroke_treadmill, stroke_walks
 from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import CalibrationError

@@ -22,12 +22,11 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.accuracy.ankle import load_shanks
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, track_foot, track_of
-from benchmarks.accuracy.zero_velocity_sets import xio
-from benchmarks.lib.real_sets import _two_header_lines as two_header_lines
-from benchmarks.lib.real_sets import all_walks
+from benchmarks.lib.real_sets import all_walks, data_folder, load_run, xio
+from benchmarks.lib.walkers import outcomes_of
 from benchmarks.loop.tuning_cohort import patient
 from fes.calibration.recording import calibrate_shank_track, calibrate_track
+from fes.datasets.common import even_track, two_header_csv
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.shank.tracker import ShankTracker
 from fes.gate.plausibility import Plausibility
@@ -71,21 +70,21 @@ def sensors(patients: int) -> Iterator[tuple[str, Track]]:
     for seed in range(patients):
         samples = VirtualPatient(patient(seed)[0]).advance(40 * NS_PER_S)
         acc, gyr = (np.array([getattr(s, name) for s in samples]) for name in ("acc_mps2", "gyr_radps"))
-        yield "virtual patients (simulated)", track_of("right_foot", 100.0, acc, gyr)
+        yield "virtual patients (simulated)", even_track("right_foot", 100.0, acc, gyr)
     folder = data_folder()
     for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
         yield from (("stroke survivors, feet", track) for track in load_run(path)[0].values())
         shanks, rate_hz, _ = load_shanks(path)
-        yield from (("stroke survivors, shanks", track_of(name, rate_hz, *both)) for name, both in shanks.items())
+        yield from (("stroke survivors, shanks", even_track(name, rate_hz, *both)) for name, both in shanks.items())
     yield from ((walk.data_set, walk.track) for walk in all_walks())
     stairs = folder / "gaitmap_walk" / "imu_sample_healthy_stair_up.csv"
     if stairs.is_file():
-        columns = two_header_lines(stairs)
+        columns = two_header_csv(stairs)
         for side in ("left", "right"):
             acc, gyr = (
                 np.column_stack([columns[f"{side}_sensor", f"{k}_{axis}"] for axis in "xyz"]) for k in ("acc", "gyr")
             )
-            yield "gaitmap stairs", track_of(f"{side}_foot", 204.8, acc, np.radians(gyr))
+            yield "gaitmap stairs", even_track(f"{side}_foot", 204.8, acc, np.radians(gyr))
     walk = xio(folder)
     if walk is not None:
         yield "xio walk", walk
@@ -98,7 +97,7 @@ def swings(track: Track) -> tuple[Vector3, IntArray, IntArray]:
         up, outcomes = shank.up, ShankTracker(shank).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
     else:
         foot = calibrate_track(track)
-        up, outcomes = foot.up, track_foot(track, foot)
+        up, outcomes = foot.up, outcomes_of(track, foot)
     phase = np.zeros(len(track.t_ns), dtype=int)
     begins = []
     for change in outcomes:

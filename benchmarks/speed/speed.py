@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 
 import fes
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run
+from benchmarks.lib.real_sets import data_folder, load_run
 from benchmarks.speed.speed_bare import bare_seconds
 from benchmarks.speed.speed_row import Row
 from fes.analysis.ground_path import ground_path

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.accuracy.every_walker import Foot, calibrate, feet_of
+from benchmarks.lib.walkers import Foot, calibrate, feet_of
 from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import Stimulation
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration

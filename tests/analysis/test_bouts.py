@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import fes
-from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.lib.real_sets import data_folder
 from fes.analysis.bouts import LENGTHS_S, Bout, Stride, bout_tables, bouts_of, kept_of
 from fes.cli import main
 from fes.signals import StrideResult
