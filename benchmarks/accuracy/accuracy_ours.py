@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -57,66 +58,57 @@ ZUPT = "fes ZUPT filter, smoothed"
 LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
 
 
+Walked = list[tuple[Asked, Walk]]
+
+
+def by_set(asked: list[Asked]) -> dict[str, Walked]:
+    """The walks with a reference for single strides."""
+    groups: dict[str, Walked] = {}
+    for one in asked:
+        if one.walk is not None:
+            groups.setdefault(one.data_set, []).append((one, one.walk))
+    return groups
+
+
 def stride_rows(asked: list[Asked]) -> list[Row]:
     """Length and lift of the strides that our phase machine finds, each known when it ends."""
     rows = []
-    for method in METHODS:
-        walks = [(one, one.walk) for one in asked if one.walk is not None]
-        for data_set in dict.fromkeys(one.data_set for one, _ in walks):
-            errors, lifts, hit, swings = [], [], 0, 0
-            for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
-                track = walk.track
-                strides = strides_of(track, calibrate_track(track), method)
-                ends_s = np.array([(1e-9 * s.t_start_ns, 1e-9 * s.t_end_ns) for s in strides])
-                errors += own_border_errors(one, ends_s, np.array([s.stride_length_m for s in strides]))
-                lifts += [100.0 * (s.clearance_m - walk.true_clearance_m(s)) for s in strides]
-                hit, swings = hit + strides_hit(one.swings_s, ends_s), swings + len(one.swings_s)
-            rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], KNOWN[method], errors, hit / swings))
-            if np.isfinite(lifts).any() and method != FUSED:  # which takes heights as they are
-                rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], KNOWN[method], lifts, hit / swings))
+    for method, (data_set, walks) in product(METHODS, by_set(asked).items()):
+        errors, lifts, hit, swings = [], [], 0, 0
+        for one, walk in walks:
+            strides = strides_of(walk.track, calibrate_track(walk.track), method)
+            ends_s = np.array([(1e-9 * s.t_start_ns, 1e-9 * s.t_end_ns) for s in strides])
+            errors += own_border_errors(one, ends_s, np.array([s.stride_length_m for s in strides]))
+            lifts += [100.0 * (s.clearance_m - walk.true_clearance_m(s)) for s in strides]
+            hit, swings = hit + strides_hit(one.swings_s, ends_s), swings + len(one.swings_s)
+        rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], KNOWN[method], errors, hit / swings))
+        if np.isfinite(lifts).any() and method != FUSED:  # which takes heights as they are
+            rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], KNOWN[method], lifts, hit / swings))
     return rows
 
 
 def given_rows(asked: list[Asked]) -> list[Row]:
     """Length and lift by our stride integration between the references' borders, each moved to quiet within 50 ms."""
     rows = []
-    walks = [(one, one.walk) for one in asked if one.walk is not None]
-    for method in METHODS:
-        for data_set in dict.fromkeys(one.data_set for one, _ in walks):
-            lengths, lifts = [], []
-            for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
-                for stride, known_m in zip(_between_borders(one, walk, method), one.length_m, strict=False):
-                    if stride.valid and np.isfinite(known_m):
-                        lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
-                        lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
-            for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
-                if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
-                    rows.append(
-                        row_of(
-                            data_set,
-                            quantity,
-                            "cm",
-                            NAMES[method],
-                            KNOWN[method],
-                            errors,
-                            _share(errors, asked, data_set),
-                        )
-                    )
+    for method, (data_set, walks) in product(METHODS, by_set(asked).items()):
+        lengths, lifts = [], []
+        for one, walk in walks:
+            strides = strides_between(walk.track, one.case.borders / one.case.rate_hz, method)
+            for stride, known_m in zip(strides, one.length_m, strict=False):
+                if stride.valid and np.isfinite(known_m):
+                    lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
+                    lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
+        wanted = sum(np.isfinite(one.length_m).sum() for one, _ in walks)
+        for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
+            if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
+                share = float(np.isfinite(errors).sum() / wanted)
+                rows.append(row_of(data_set, quantity, "cm", NAMES[method], KNOWN[method], errors, share))
     return rows
-
-
-def _between_borders(one: Asked, walk: Walk, method: str) -> list[StrideResult]:
-    return strides_between(walk.track, one.case.borders / one.case.rate_hz, method)
 
 
 def _true_lift_m(walk: Walk, stride: StrideResult) -> float:
     arm = walk if isinstance(walk, PathWalk) and walk.lever_m is not None else None
     return walk.true_clearance_m(stride) if arm is None else arm.true_lift_m(stride)
-
-
-def _share(errors: list[float], asked: list[Asked], data_set: str) -> float:
-    wanted = sum(np.isfinite(one.length_m).sum() for one in asked if one.data_set == data_set)
-    return float(np.isfinite(errors).sum() / wanted)
 
 
 def arm_rows() -> list[Row]:
@@ -130,10 +122,10 @@ def arm_rows() -> list[Row]:
 
 def zupt_rows(folder: Path, asked: list[Asked]) -> list[Row]:
     """Length between the references' borders by the smoother over the whole recording; the loop's gap."""
-    rows, walks = [], [(one, one.walk) for one in asked if one.walk is not None]
-    for data_set in dict.fromkeys(one.data_set for one, _ in walks):
+    rows = []
+    for data_set, walks in by_set(asked).items():
         errors = []
-        for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
+        for one, walk in walks:
             begin_ns, end_ns = walk.track.t_ns[one.case.borders].T
             errors += (100.0 * (lengths_m(path_of(walk.track)[1], begin_ns, end_ns) - one.length_m)).tolist()
         rows.append(row_of(data_set, LENGTH_GIVEN, "cm", ZUPT, OFFLINE, errors, 1.0))
@@ -200,25 +192,14 @@ def event_rows(folder: Path) -> list[Row]:
 
 def _event_row(s: Score) -> Row:
     offline = s.method == "off-line"
-    note = f"median {s.median_ms:+.0f}, 95 % {s.p95_ms:+.0f} ms; {s.extra} extra"
-    judged = offline or s.method == "causal, instants"
-    causal_bar = "median ≤ 20, 95 % ≤ 50 ms, none missed"
+    decided = s.method == "causal, instants"
     return Row(
-        s.data,
-        f"{s.event} time" if offline else f"{s.event} decision after the event",
-        "ms",
-        "fes events" if offline else f"fes {s.method.removeprefix('causal, ')}",
-        OFFLINE if offline else CAUSAL,
-        n=s.found,
-        bias=s.mean_ms,
-        sd=s.sd_ms,
-        rmse=float(np.sqrt(s.mean_ms**2 + s.sd_ms**2 * (s.found - 1) / s.found)),
-        worst=max(abs(s.least_ms), abs(s.most_ms)),
-        recall=s.recall,
-        bar=causal_bar if judged and not offline else "",
-        bar_met=holds(s) if judged and not offline else None,
-        note=note,
-    )
+        s.data, f"{s.event} time" if offline else f"{s.event} decision after the event", "ms",
+        "fes events" if offline else f"fes {s.method.removeprefix('causal, ')}", OFFLINE if offline else CAUSAL,
+        s.found, s.mean_ms, s.sd_ms, float(np.sqrt(s.mean_ms**2 + s.sd_ms**2 * (s.found - 1) / s.found)),
+        max(abs(s.least_ms), abs(s.most_ms)), s.recall, "median ≤ 20, 95 % ≤ 50 ms, none missed" if decided else "",
+        holds(s) if decided else None, f"median {s.median_ms:+.0f}, 95 % {s.p95_ms:+.0f} ms; {s.extra} extra",
+    )  # fmt: skip
 
 
 def orientation_rows(folder: Path) -> list[Row]:
@@ -276,15 +257,7 @@ def _fitted_rms_m(walk: PathWalk, path: GroundPath) -> float:
 def our_rows(folder: Path, asked: list[Asked]) -> list[Row]:
     """All of them; what is put to peers alone is left out."""
     asked = [one for one in asked if OUR_ENDS not in one.case.tasks]
-    return [
-        *stride_rows(asked),
-        *given_rows(asked),
-        *arm_rows(),
-        *zupt_rows(folder, asked),
-        *rest_rows(folder),
-        *stroke_rows(folder),
-        *event_rows(folder),
-        *orientation_rows(folder),
-        *clearance_rows(folder),
-        *path_rows(folder),
-    ]
+    rows = [*stride_rows(asked), *given_rows(asked), *arm_rows(), *zupt_rows(folder, asked)]
+    for of_folder in (rest_rows, stroke_rows, event_rows, orientation_rows, clearance_rows, path_rows):
+        rows += of_folder(folder)
+    return rows

@@ -26,7 +26,6 @@ RUNNERS = ("run_orientation.py", "run_gaitmap.py")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print, save."""
     parser = parser_of(__doc__, data_folder())
     parser.set_defaults(json=ROOT / "benchmarks" / "results" / "accuracy.json")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers" / "bin" / "python", help="their Python")

@@ -182,7 +182,6 @@ def _as_truth(run: str, track: Track) -> Case:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
     there = (options.data / "gaitmap_walk").is_dir() and (options.data / "stroke_treadmill").is_dir()
     bundled = bundled_cases()

@@ -381,7 +381,6 @@ def low_lines(found: list[Found]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 3 without data."""
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--only", nargs="+", choices=SETS, default=SETS, help="these sets alone")
     parser.add_argument("--persons", nargs="+", help="these walkers alone, as the tables name them")

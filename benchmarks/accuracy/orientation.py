@@ -15,18 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish
-from benchmarks.lib.real_sets import MARKERS_HZ, BoolArray, data_folder, gaitmap_markers, gaitmap_walk, stroke_feet
+from benchmarks.lib.real_sets import MARKERS_HZ, BoolArray, data_folder, gaitmap_markers, gaitmap_walk
 from fes.datasets.broad import OldHdf5
 from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
 from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.signals import FloatArray
 
 Score = Callable[[FloatArray], float]  # of upward directions in the sensor frame (N, 3): RMSE in degrees
-
-STANCE_SAMPLES, WINDOW_SAMPLES, SETTLED_SAMPLES, LEAST_STANCES = 15, 10, 500, 20  # at 100 Hz
 
 
 @dataclass(frozen=True)
@@ -104,35 +101,6 @@ def _elevation(sine: FloatArray) -> Score:
     return score
 
 
-def stroke_stance(folder: Path) -> list[Trial]:
-    """Feet of stroke survivors, 100 Hz: the upward direction against the mean force, in each stance's stillest 0.1 s.
-
-    No truth: what the foot still accelerates is in it, about 1.5 degrees a stance, and the accelerometer's bias. It
-    shows whether an orientation stays sensible over minutes of impaired walking. Rest is what the zero-velocity
-    detector says; feet that hardly ever rest are left out.
-    """
-    trials = []
-    for run, track, _ in stroke_feet(folder):
-        acc, gyr = track.acc_mps2, track.gyr_radps
-        _, rest, _ = find_zero_velocity(acc, gyr, 100.0)
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], rest.astype(int), [0]))))
-        energy = np.convolve(np.sum(gyr**2, axis=1), np.full(WINDOW_SAMPLES, 1.0 / WINDOW_SAMPLES), "valid")
-        windows = []
-        for begin, end in zip(edges[0::2], edges[1::2], strict=True):
-            if begin > SETTLED_SAMPLES and end - begin >= STANCE_SAMPLES:
-                stillest = begin + int(np.argmin(energy[begin : end - WINDOW_SAMPLES + 1]))
-                windows.append(np.arange(stillest, stillest + WINDOW_SAMPLES))
-        if len(windows) >= LEAST_STANCES:
-            at = np.array(windows)
-            score = _stances(at, acc[at].mean(axis=1))
-            trials.append(Trial("stroke_treadmill", f"{run} {track.sensor}", 100.0, acc, gyr, score))
-    return trials
-
-
-def _stances(windows: npt.NDArray[np.int64], force: FloatArray) -> Score:
-    return lambda up: rms(inclination_error_deg(up[windows].mean(axis=1), force))
-
-
 RANGE_DPS = 1000.0
 FILTERS: dict[str, Callable[..., OrientationPath]] = {"causal": track_orientation, "off-line": smooth_orientation}
 
@@ -146,7 +114,6 @@ def clipped_deg(trial: Trial, follow: Callable[..., OrientationPath], *, told: b
 
 
 def main() -> int:
-    """Print the figures; 3 without recordings."""
     options = parser_of(__doc__, data_folder()).parse_args()
     folder, lines = options.data, []
     trials, feet = broad(folder), gaitmap_pitch(folder)

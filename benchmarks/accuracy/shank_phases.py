@@ -200,7 +200,6 @@ def lines_of(results: list[SideResult], told: list[Told]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print what it comes to; 1 when a bar is missed."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
     if not (paths := runs_of(options.data)):
         return 3

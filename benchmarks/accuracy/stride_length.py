@@ -246,7 +246,6 @@ def clearance_errors(method: str, most_glitch_m: float = float("inf")) -> dict[s
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 3 without data."""
     options = parser_of(__doc__).parse_args(arguments)
     found: list[tuple[str, str, FloatArray, str]] = []
     for method in METHODS:

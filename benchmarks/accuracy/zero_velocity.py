@@ -138,7 +138,6 @@ def evaluate_loop(track: Track) -> LoopResult:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Print the tables; 1 when a bar is missed."""
     options = parser_of(__doc__, data_folder()).parse_args(words)
     if not (walks := pyshoe(options.data)):
         return no_recordings(options.data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -71,7 +72,7 @@ def _command(typed: Sequence[str]) -> str:
             next(words, None)
         elif not word.startswith(tuple(f"{name}=" for name in ASIDE)):
             kept.append(word)
-    return " ".join(["python", "/".join(("benchmarks", *Path(typed[0]).resolve().parts[-2:])), *kept])
+    return shlex.join(["python", "/".join(("benchmarks", *Path(typed[0]).resolve().parts[-2:])), *kept])
 
 
 def spread(values: Sequence[float]) -> str:

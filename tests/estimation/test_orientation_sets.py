@@ -42,7 +42,7 @@ def test_a_trial_judges_what_may_be_judged(sets: ModuleType) -> None:
 
 
 def test_without_recordings_there_are_no_trials(sets: ModuleType, tmp_path: Path) -> None:
-    assert sets.broad(tmp_path) == sets.gaitmap_pitch(tmp_path) == sets.stroke_stance(tmp_path) == []
+    assert sets.broad(tmp_path) == sets.gaitmap_pitch(tmp_path) == []
 
 
 @pytest.mark.parametrize(
