@@ -346,7 +346,7 @@ def test_a_latency_that_grew_by_1_ms_is_found(walk, baseline) -> None:
     assert outcome.latency.p99_ms - outcome.latency.p99_before_ms == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_walk_that_the_baseline_does_not_know(walk, baseline, plants) -> None:
+def test_a_walk_that_the_baseline_does_not_know(walk, baseline) -> None:
     measured, truth = walk
     known = baseline.recordings["both_feet_100hz"]
     others = {
@@ -358,7 +358,7 @@ def test_a_walk_that_the_baseline_does_not_know(walk, baseline, plants) -> None:
     family = replace(baseline, recordings=others)
     limits = Limits(baseline.tolerance_ms, baseline.allowed)
     assert judge(measured(), truth, family, "new", limits).failures == ()
-    late = judge(measured(plants.planted("guard", 1)), truth, family, "new", limits)
+    late = judge(measured(late_guard(Transition.T2)), truth, family, "new", limits)
     assert "T2" in kinds(late.failures)
     assert "where the baseline's walkers have" in late.failures[0].text
     few = replace(baseline, recordings=dict(list(others.items())[:2]))
