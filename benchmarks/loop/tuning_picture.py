@@ -40,7 +40,7 @@ def main() -> None:
     clear_mm = [1e3 * stride.toe_clearance_m for stride in done.measured if stride.valid][:STRIDES]
     named = [report.t_ns for report in done.reports if report.kind == "fault"]
     marks += [(sum(stride.t_flat_ns <= t_ns for stride in done.strides), "0.4", "named") for t_ns in named]
-    mpl.rcParams["svg.hashsalt"] = "tuning"  # the same file again
+    mpl.rcParams.update({"svg.hashsalt": "tuning", "svg.fonttype": "none"})  # the same file again, and small
     figure, (top, low) = plt.subplots(2, sharex=True, figsize=(9, 5.4), layout="constrained")
     top.axhspan(*BAND_MM, color="#d9e6d3")
     top.plot(range(1, len(clear_mm) + 1), clear_mm, "o", markersize=4)
