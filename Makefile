@@ -8,7 +8,7 @@ WHEEL := .venv-wheel
 PYTHONS ?= python3.11 python3.12 python3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test test-slow test-live lint format bench bench-figures bench-accuracy figures figures-check figures-all peers nightly mutants hazards docs docs-site trials lock \
+.PHONY: help hil demo test test-slow test-live lint format bench bench-accuracy figures figures-check figures-all peers nightly mutants hazards docs docs-site trials lock \
   wheel-test test-pythons clean
 
 help:
@@ -20,7 +20,6 @@ help:
 	@echo "make test-pythons  demo and quick tests under each of PYTHONS ($(PYTHONS)) that this machine has"
 	@echo "make lint     style and types only"
 	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about 10 minutes)"
-	@echo "make bench-figures  the figures of docs/accuracy.md: bundled trials, and recordings in FES_DATA or ../shared/data"
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
 	@echo "make figures  render the figures of docs/ from benchmarks/results/ and the program's constants"
 	@echo "make figures-check  measure the quick ones again; an error if one has moved or a page is out of date"
@@ -92,20 +91,6 @@ format: $(VENV)/dev.stamp
 
 bench: $(VENV)/dev.stamp $(PEERS)/peers.stamp
 	$(BIN)/python benchmarks/speed/speed_table.py --peers $(PEERS)/bin/python --keep; $(BIN)/python benchmarks/lib/figures.py
-
-bench-figures: $(VENV)/dev.stamp
-	$(BIN)/python benchmarks/accuracy/bundled_trials.py
-	$(BIN)/python benchmarks/accuracy/stroke_treadmill.py
-	$(BIN)/python benchmarks/accuracy/stride_length.py
-	$(BIN)/python benchmarks/accuracy/clearance.py
-	$(BIN)/python benchmarks/accuracy/roll.py
-	$(BIN)/python benchmarks/accuracy/inclines.py
-	$(BIN)/python benchmarks/accuracy/events.py
-	$(BIN)/python benchmarks/accuracy/zero_velocity.py
-	$(BIN)/python benchmarks/accuracy/ankle.py
-	$(BIN)/python benchmarks/accuracy/shank_phases.py
-	$(BIN)/python benchmarks/accuracy/orientation.py
-	$(BIN)/python benchmarks/accuracy/orientation_limits.py
 
 bench-accuracy: $(VENV)/dev.stamp $(PEERS)/peers.stamp
 	$(BIN)/python benchmarks/accuracy/accuracy_table.py --peers $(PEERS)/bin/python

@@ -15,7 +15,7 @@ TABLE = ROOT / "benchmarks" / "accuracy" / "accuracy_table.py"
 
 
 def test_a_row_counts_what_is_finite():
-    from benchmarks.accuracy.accuracy_row import row_of
+    from benchmarks.accuracy.accuracy_rows import row_of
 
     row = row_of("set", "length", "cm", "fes x", "causal", [1.0, -2.0, np.nan, 4.0], recall=0.75)
     assert (row.n, row.bias, row.worst, row.recall) == (3, 1.0, 4.0, 0.75)
@@ -30,8 +30,7 @@ def test_a_row_counts_what_is_finite():
 
 
 def test_bars_hold_for_every_method_alike():
-    from benchmarks.accuracy.accuracy_bars import LENGTH_OWN, with_bar
-    from benchmarks.accuracy.accuracy_row import row_of
+    from benchmarks.accuracy.accuracy_rows import LENGTH_OWN, row_of, with_bar
 
     good = row_of("gaitmap_walk", LENGTH_OWN, "cm", "fes x", "causal", [1.0, -1.5], 1.0)
     missed_one = row_of("gaitmap_walk", LENGTH_OWN, "cm", "peer", "off-line", [0.1, 0.1], 0.98)
@@ -96,15 +95,16 @@ def test_judging_lengths_lifts_and_failures(tmp_path):
 
 
 def test_our_ends_are_the_quietest_instants_nearby_and_the_truth_is_taken_there():
-    from benchmarks.lib.real_sets import PathWalk, track_of
+    from benchmarks.lib.real_sets import PathWalk
     from benchmarks.peers.cases import OUR_ENDS, Asked, at_our_ends
     from benchmarks.peers.exchange import Case
+    from fes.datasets.common import even_track
 
     rate_hz, n = 100.0, 400
     gyr = np.full((n, 3), 2.0)
     for quiet in (104, 297):  # 40 ms after and 30 ms before what the reference says
         gyr[quiet - 4 : quiet + 6] = 0.1
-    track = track_of("right_foot", rate_hz, np.tile([0.0, 0.0, 9.81], (n, 1)), gyr)
+    track = even_track("right_foot", rate_hz, np.tile([0.0, 0.0, 9.81], (n, 1)), gyr)
     way = np.zeros((n, 3))
     way[:, 0] = np.linspace(0.0, 3.99, n)  # a centimetre a sample: a border moved by one shows
     walk = PathWalk("set", "one", track, position_m=way, rate_hz=rate_hz, at_sensor=True)
@@ -124,8 +124,7 @@ def test_our_ends_are_the_quietest_instants_nearby_and_the_truth_is_taken_there(
 
 
 def test_the_page_lists_the_least_error_first_and_every_bar():
-    from benchmarks.accuracy.accuracy_row import Row
-    from benchmarks.accuracy.accuracy_text import in_order, markdown, verdicts
+    from benchmarks.accuracy.accuracy_rows import Row, in_order, markdown, verdicts
 
     rows = in_order(
         [

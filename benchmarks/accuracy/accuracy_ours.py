@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.accuracy_bars import (
+from benchmarks.accuracy.accuracy_rows import (
     BELT,
+    CAUSAL,
     CLOSURE,
     HEEL,
     LENGTH_GIVEN,
@@ -16,26 +18,32 @@ from benchmarks.accuracy.accuracy_bars import (
     LIFT_ARM,
     LIFT_GIVEN,
     LIFT_OWN,
+    OFFLINE,
     PATH,
     PHASES,
     SHANK_BELT,
     STRIKE,
     TOE,
+    Row,
+    row_of,
 )
-from benchmarks.accuracy.accuracy_row import CAUSAL, OFFLINE, Row, row_of
-from benchmarks.accuracy.ankle import evaluate as evaluate_shanks
 from benchmarks.accuracy.clearance import marker_rows
 from benchmarks.accuracy.events import METHODS as EVENT_METHODS
-from benchmarks.accuracy.events import Score, holds, score, strike_angles, strike_score
-from benchmarks.accuracy.lift import clearance_errors
-from benchmarks.accuracy.orientation import orientation_rows as measure_orientation
-from benchmarks.accuracy.orientation_methods import METHODS as FILTERS
-from benchmarks.accuracy.stride_length import FUSED, METHODS, belt_ratios, strides_between, strides_of
-from benchmarks.accuracy.stroke_treadmill import evaluate as evaluate_feet
-from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, path_of
-from benchmarks.accuracy.zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
-from benchmarks.lib.event_cases import gaitmap_cases, stroke_tracks
-from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk
+from benchmarks.accuracy.events import Score, holds, score, strike_angles, strike_score, stroke_tracks
+from benchmarks.accuracy.orientation import FILTERS, broad, gaitmap_pitch, upward
+from benchmarks.accuracy.shank_phases import evaluate as evaluate_shanks
+from benchmarks.accuracy.stride_length import (
+    FUSED,
+    METHODS,
+    belt_ratios,
+    clearance_errors,
+    strides_between,
+    strides_of,
+)
+from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, lengths_m, path_of
+from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_cases, gaitmap_walk, pyshoe, xio
+from benchmarks.lib.swing_judge import score as order
+from benchmarks.lib.walkers import calibrate, causal, stroke_treadmill, swings_of
 from benchmarks.peers.cases import OUR_ENDS, Asked
 from benchmarks.peers.judge import f1_row, orientation_row, own_border_errors, strides_hit
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
@@ -46,60 +54,56 @@ from fes.signals import StrideResult
 NAMES = {"maximum_likelihood": "fes maximum likelihood (default)", "constrained": "fes constrained (Negård)"}
 NAMES[FUSED] = "fes analyse (maximum likelihood and ZUPT)"
 KNOWN = {"maximum_likelihood": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
-ZUPT = {False: "fes ZUPT filter, forward", True: "fes ZUPT filter, smoothed"}
+ZUPT = "fes ZUPT filter, smoothed"
 LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
+
+
+Walked = list[tuple[Asked, Walk]]
+
+
+def by_set(asked: list[Asked]) -> dict[str, Walked]:
+    """The walks with a reference for single strides."""
+    groups: dict[str, Walked] = {}
+    for one in asked:
+        if one.walk is not None:
+            groups.setdefault(one.data_set, []).append((one, one.walk))
+    return groups
 
 
 def stride_rows(asked: list[Asked]) -> list[Row]:
     """Length and lift of the strides that our phase machine finds, each known when it ends."""
     rows = []
-    for method in METHODS:
-        walks = [(one, one.walk) for one in asked if one.walk is not None]
-        for data_set in dict.fromkeys(one.data_set for one, _ in walks):
-            errors, lifts, hit, swings = [], [], 0, 0
-            for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
-                track = walk.track
-                strides = strides_of(track, calibrate_track(track), method)
-                ends_s = np.array([(1e-9 * s.t_start_ns, 1e-9 * s.t_end_ns) for s in strides])
-                errors += own_border_errors(one, ends_s, np.array([s.stride_length_m for s in strides]))
-                lifts += [100.0 * (s.clearance_m - walk.true_clearance_m(s)) for s in strides]
-                hit, swings = hit + strides_hit(one.swings_s, ends_s), swings + len(one.swings_s)
-            rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], KNOWN[method], errors, hit / swings))
-            if np.isfinite(lifts).any() and method != FUSED:  # which takes heights as they are
-                rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], KNOWN[method], lifts, hit / swings))
+    for method, (data_set, walks) in product(METHODS, by_set(asked).items()):
+        errors, lifts, hit, swings = [], [], 0, 0
+        for one, walk in walks:
+            strides = strides_of(walk.track, calibrate_track(walk.track), method)
+            ends_s = np.array([(1e-9 * s.t_start_ns, 1e-9 * s.t_end_ns) for s in strides])
+            errors += own_border_errors(one, ends_s, np.array([s.stride_length_m for s in strides]))
+            lifts += [100.0 * (s.clearance_m - walk.true_clearance_m(s)) for s in strides]
+            hit, swings = hit + strides_hit(one.swings_s, ends_s), swings + len(one.swings_s)
+        rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], KNOWN[method], errors, hit / swings))
+        if np.isfinite(lifts).any() and method != FUSED:  # which takes heights as they are
+            rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], KNOWN[method], lifts, hit / swings))
     return rows
 
 
 def given_rows(asked: list[Asked]) -> list[Row]:
     """Length and lift by our stride integration between the references' borders, each moved to quiet within 50 ms."""
     rows = []
-    walks = [(one, one.walk) for one in asked if one.walk is not None]
-    for method in METHODS:
-        for data_set in dict.fromkeys(one.data_set for one, _ in walks):
-            lengths, lifts = [], []
-            for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
-                for stride, known_m in zip(_between_borders(one, walk, method), one.length_m, strict=False):
-                    if stride.valid and np.isfinite(known_m):
-                        lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
-                        lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
-            for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
-                if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
-                    rows.append(
-                        row_of(
-                            data_set,
-                            quantity,
-                            "cm",
-                            NAMES[method],
-                            KNOWN[method],
-                            errors,
-                            _share(errors, asked, data_set),
-                        )
-                    )
+    for method, (data_set, walks) in product(METHODS, by_set(asked).items()):
+        lengths, lifts = [], []
+        for one, walk in walks:
+            strides = strides_between(walk.track, one.case.borders / one.case.rate_hz, method)
+            for stride, known_m in zip(strides, one.length_m, strict=False):
+                if stride.valid and np.isfinite(known_m):
+                    lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
+                    lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
+        wanted = sum(np.isfinite(one.length_m).sum() for one, _ in walks)
+        for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
+            if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
+                share = float(np.isfinite(errors).sum() / wanted)
+                rows.append(row_of(data_set, quantity, "cm", NAMES[method], KNOWN[method], errors, share))
     return rows
-
-
-def _between_borders(one: Asked, walk: Walk, method: str) -> list[StrideResult]:
-    return strides_between(walk.track, one.case.borders / one.case.rate_hz, method)
 
 
 def _true_lift_m(walk: Walk, stride: StrideResult) -> float:
@@ -107,37 +111,26 @@ def _true_lift_m(walk: Walk, stride: StrideResult) -> float:
     return walk.true_clearance_m(stride) if arm is None else arm.true_lift_m(stride)
 
 
-def _share(errors: list[float], asked: list[Asked], data_set: str) -> float:
-    wanted = sum(np.isfinite(one.length_m).sum() for one in asked if one.data_set == data_set)
-    return float(np.isfinite(errors).sum() / wanted)
-
-
 def arm_rows() -> list[Row]:
     """Lift on pyshoe_vicon, whose marker is not at the sensor, through the arm that fits best."""
     rows = []
     for method in METHODS[:-1]:
-        for errors in clearance_errors(method, strides_of).values():
+        for errors in clearance_errors(method).values():
             rows.append(row_of("pyshoe_vicon", LIFT_ARM, "cm", NAMES[method], KNOWN[method], 100.0 * np.array(errors)))
     return rows
 
 
 def zupt_rows(folder: Path, asked: list[Asked]) -> list[Row]:
-    """Length between the references' borders by the filter that runs through the whole recording; the loop's gap."""
+    """Length between the references' borders by the smoother over the whole recording; the loop's gap."""
     rows = []
-    groups: list[list[BorderedWalk]] = [walks for walks in (pyshoe(folder), ruler(folder), gaitmap(folder)) if walks]
-    loop = xio(folder)
-    for smoothed, known in ((False, CAUSAL), (True, OFFLINE)):
-        for walks in groups:
-            errors = []
-            of_set = (one for one in asked if one.walk is not None and one.data_set == walks[0].data_set)
-            for walk, one in zip(walks, of_set, strict=True):
-                lengths = path_of(walk.track, smoothed=smoothed).stride_lengths(walk.begin_ns, walk.end_ns)
-                errors += (100.0 * (lengths - one.length_m)).tolist()
-            rows.append(row_of(walks[0].data_set, LENGTH_GIVEN, "cm", ZUPT[smoothed], known, errors, 1.0))
-        if loop is not None:
-            rows.append(
-                row_of("xio_walk", CLOSURE, "m", ZUPT[smoothed], known, [evaluate_loop(loop, smoothed=smoothed).gap_m])
-            )
+    for data_set, walks in by_set(asked).items():
+        errors = []
+        for one, walk in walks:
+            begin_ns, end_ns = walk.track.t_ns[one.case.borders].T
+            errors += (100.0 * (lengths_m(path_of(walk.track)[1], begin_ns, end_ns) - one.length_m)).tolist()
+        rows.append(row_of(data_set, LENGTH_GIVEN, "cm", ZUPT, OFFLINE, errors, 1.0))
+    if loop := xio(folder):
+        rows.append(row_of("xio_walk", CLOSURE, "m", ZUPT, OFFLINE, [evaluate_loop(loop).gap_m]))
     return rows
 
 
@@ -146,10 +139,9 @@ def rest_rows(folder: Path) -> list[Row]:
     walks = pyshoe(folder)
     rows = []
     for detector in Detector if walks else ():
-        for causal in (True, False):
-            r = evaluate_detector(detector, walks, use_standing=True, causal=causal)
-            known = CAUSAL if causal else OFFLINE
-            rows.append(f1_row("pyshoe_vicon", f"fes {r.detector}", known, len(walks), r.f1, r.recall, r.worst_f1))
+        for known in (CAUSAL, OFFLINE):
+            r = evaluate_detector(detector, walks, use_standing=True, causal=known == CAUSAL)
+            rows.append(f1_row("pyshoe_vicon", f"fes {r.detector.name}", known, len(walks), r.f1, r.recall, r.worst_f1))
     return rows
 
 
@@ -167,7 +159,7 @@ def stroke_rows(folder: Path) -> list[Row]:
     for name, key in (("fes shank, arm learnt", "learnt"), ("fes shank, velocity to zero", "zupt")):
         errors = [100.0 * (getattr(shank, key) - 1.0) for shank in shanks]
         rows.append(row_of(data_set, SHANK_BELT, "%", name, CAUSAL, errors))
-    feet = [foot for path in paths for foot in evaluate_feet(path)]
+    feet = [order(swings_of(foot), *causal(foot.track, calibrate(foot.track))) for foot in stroke_treadmill(folder, "")]
     shares = [foot.in_order / foot.strides for foot in feet]
     strides = sum(foot.strides for foot in feet)
     recall = sum(foot.in_order for foot in feet) / strides
@@ -200,39 +192,25 @@ def event_rows(folder: Path) -> list[Row]:
 
 def _event_row(s: Score) -> Row:
     offline = s.method == "off-line"
-    note = f"median {s.median_ms:+.0f}, 95 % {s.p95_ms:+.0f} ms; {s.extra} extra"
-    judged = offline or s.method == "causal, instants"
-    causal_bar = "median ≤ 20, 95 % ≤ 50 ms, none missed"
+    decided = s.method == "causal, instants"
     return Row(
-        s.data,
-        f"{s.event} time" if offline else f"{s.event} decision after the event",
-        "ms",
-        "fes events" if offline else f"fes {s.method.removeprefix('causal, ')}",
-        OFFLINE if offline else CAUSAL,
-        n=s.found,
-        bias=s.mean_ms,
-        sd=s.sd_ms,
-        rmse=float(np.sqrt(s.mean_ms**2 + s.sd_ms**2 * (s.found - 1) / s.found)),
-        worst=max(abs(s.least_ms), abs(s.most_ms)),
-        recall=s.recall,
-        bar=causal_bar if judged and not offline else "",
-        bar_met=holds(s) if judged and not offline else None,
-        note=note,
-    )
+        s.data, f"{s.event} time" if offline else f"{s.event} decision after the event", "ms",
+        "fes events" if offline else f"fes {s.method.removeprefix('causal, ')}", OFFLINE if offline else CAUSAL,
+        s.found, s.mean_ms, s.sd_ms, float(np.sqrt(s.mean_ms**2 + s.sd_ms**2 * (s.found - 1) / s.found)),
+        max(abs(s.least_ms), abs(s.most_ms)), s.recall, "median ≤ 20, 95 % ≤ 50 ms, none missed" if decided else "",
+        holds(s) if decided else None, f"median {s.median_ms:+.0f}, 95 % {s.p95_ms:+.0f} ms; {s.extra} extra",
+    )  # fmt: skip
 
 
 def orientation_rows(folder: Path) -> list[Row]:
-    """Our orientation filter; others of the same benchmark run among the peers."""
-    rows = measure_orientation(folder, tuple(method for method in FILTERS if method.package == "fes"))
-    return [
-        orientation_row(
-            row.data_set,
-            f"fes orientation filter{'' if row.causal else ', smoothed'}",
-            CAUSAL if row.causal else OFFLINE,
-            list(row.trials.values()),
-        )
-        for row in rows
-    ]
+    """Our orientation filter; others run among the peers."""
+    rows = []
+    for trials in (broad(folder), gaitmap_pitch(folder)):
+        for known, follow in FILTERS.items():
+            errors = [t.score(upward(follow(t.acc_mps2, t.gyr_radps, t.rate_hz).quaternion)) for t in trials]
+            name = f"fes orientation filter{'' if known == CAUSAL else ', smoothed'}"
+            rows += [orientation_row(trials[0].data_set, name, known, errors)] if trials else []
+    return rows
 
 
 def clearance_rows(folder: Path) -> list[Row]:
@@ -279,15 +257,7 @@ def _fitted_rms_m(walk: PathWalk, path: GroundPath) -> float:
 def our_rows(folder: Path, asked: list[Asked]) -> list[Row]:
     """All of them; what is put to peers alone is left out."""
     asked = [one for one in asked if OUR_ENDS not in one.case.tasks]
-    return [
-        *stride_rows(asked),
-        *given_rows(asked),
-        *arm_rows(),
-        *zupt_rows(folder, asked),
-        *rest_rows(folder),
-        *stroke_rows(folder),
-        *event_rows(folder),
-        *orientation_rows(folder),
-        *clearance_rows(folder),
-        *path_rows(folder),
-    ]
+    rows = [*stride_rows(asked), *given_rows(asked), *arm_rows(), *zupt_rows(folder, asked)]
+    for of_folder in (rest_rows, stroke_rows, event_rows, orientation_rows, clearance_rows, path_rows):
+        rows += of_folder(folder)
+    return rows

@@ -1,30 +1,23 @@
 """One table: every data set, each of our methods, each peer that installs from a registry.
 
     make bench-accuracy        (both environments, then this)
-    python benchmarks/accuracy/accuracy_table.py [--peers PYTHON] [--json FILE] [--markdown FILE]
 
-The recordings lie in $FES_DATA, else in ../shared/data; without them this says so and exits with 3. Peers run in an
-environment of their own (`make peers`); without it the table has our rows alone and says so. The exit code is 0
-however the numbers come out: the table says which bars are met.
+Peers run in an environment of their own (`make peers`); without it the table has our rows alone and says so. The exit
+code is 0 however the numbers come out, and 3 without recordings: the table says which bars are met.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
-import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rich.console import Console
-
-from benchmarks.accuracy.accuracy_bars import with_bar
 from benchmarks.accuracy.accuracy_ours import our_rows
-from benchmarks.accuracy.accuracy_row import Row
-from benchmarks.accuracy.accuracy_text import in_order, markdown, rich_table, verdicts
-from benchmarks.accuracy.stroke_treadmill import data_folder
+from benchmarks.accuracy.accuracy_rows import Row, in_order, markdown, verdicts, with_bar
+from benchmarks.lib.command_line import no_recordings, parser_of
+from benchmarks.lib.real_sets import data_folder
 from benchmarks.peers.cases import all_asked
 from benchmarks.peers.judge import judge
 
@@ -33,17 +26,14 @@ RUNNERS = ("run_orientation.py", "run_gaitmap.py")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print, save."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder of the recordings")
+    parser = parser_of(__doc__, data_folder())
+    parser.set_defaults(json=ROOT / "benchmarks" / "results" / "accuracy.json")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers" / "bin" / "python", help="their Python")
-    parser.add_argument("--json", type=Path, default=ROOT / "benchmarks" / "results" / "accuracy.json")
     parser.add_argument("--markdown", type=Path, default=ROOT / "docs" / "accuracy_table.md")
     options = parser.parse_args(arguments)
     asked = all_asked(options.data)
     if not asked:
-        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(options.data)
     began = time.monotonic()
     with TemporaryDirectory(prefix="fes-peers-") as name:
         exchange = Path(name)
@@ -61,13 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = in_order([with_bar(row) for row in rows])
     notes = [] if runs else [f"Peers are not in this table: {options.peers} is not there; `make peers` makes it."]
     notes += [f"Peers are not complete: {failure}." for failure in failures]
-    console = Console() if sys.stdout.isatty() else Console(width=200)
-    console.print(rich_table(rows))
-    for line in verdicts(rows):
-        console.print(line)
-    for note in notes:
-        console.print(note)
-    console.print(f"{time.monotonic() - began:.0f} s")
+    print("\n".join([*verdicts(rows), *notes, f"{time.monotonic() - began:.0f} s; {options.markdown}"]))
     for path, text in ((options.json, to_json(rows, notes)), (options.markdown, markdown(rows, notes))):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

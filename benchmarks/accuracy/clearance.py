@@ -1,36 +1,26 @@
-"""Toe and heel clearance against optical markers, and against the truth of the bundled trials.
-
-    python benchmarks/accuracy/clearance.py [--json FILE]
+"""Toe and heel clearance against optical markers, and against the truth of the bundled trials; 3 without the former.
 
 gaitmap_walk: the markers on toe and heel, each above its own height at the start of the stride; minimum toe clearance
 and greatest heel height are taken from them by the same definitions (fes.estimation.clearance.clearance). The geometry
-is either
-
-- given: where the markers sit on the standing foot, and where the sensor sits among them. Nobody noted the latter, so
-  it is read off once per foot from accelerations (marker − sensor, low-passed at 6 Hz, in swing), not from any height;
-- given without the sideways part, as a session without it would;
-- estimated from the IMU alone. It knows the sole, and the markers sit above it: so its points are lifted by the height
-  above the floor at which the markers stand, to compare the same points. That is all that is taken from the markers.
-
-Each without and with the contact levels of the recording. Bar: mean within 0.3 cm, SD within 0.6 cm.
+is given: where the markers sit on the standing foot, and where the sensor sits among them, read off once per foot from
+accelerations (marker − sensor, low-passed at 6 Hz, in swing); or given without the sideways part; or estimated from the
+IMU alone, its points lifted from the sole by the height at which the markers stand. Each without and with the contact
+levels of the recording. Bar: mean within 0.3 cm, SD within 0.6 cm.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 from scipy.signal import butter, filtfilt
 
-from benchmarks.accuracy.bundled_trials import NAMES, TRIALS
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
-from benchmarks.lib.real_sets import STRAIGHT_RAD, _two_header_lines, gaitmap_walk
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import MARKERS_HZ, NAMES, STRAIGHT_RAD, TRIALS, data_folder, gaitmap_markers, gaitmap_walk
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
     HEEL,
@@ -50,10 +40,10 @@ from fes.recording import Track, read_recording
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from fes.simulation.truth import load_truth
 
-MARKER_HZ = 100.0
 GRID_HZ = 200.0
 LOW_PASS_HZ = 6.0
 BAR_M = (0.003, 0.006)
+WALKS = (*NAMES, "not_walking")
 
 
 @dataclass(frozen=True)
@@ -106,18 +96,12 @@ def marked_strides(folder: Path) -> dict[str, list[MarkedStride]]:
     """Side → strides of the walk with markers; empty where it is absent."""
     found: dict[str, list[MarkedStride]] = {}
     for walk in gaitmap_walk(folder):
-        columns = _two_header_lines(folder / "gaitmap_walk" / "mocap_sample.csv")
-        place = {
-            name: np.column_stack([columns[f"{walk.name[0].upper()}_{name}", axis] for axis in "xyz"]) / 1000.0
-            for name in ("TOE", "FCC")
-        }
-        seconds = np.arange(len(place["TOE"])) / MARKER_HZ
+        markers = gaitmap_markers(folder, walk.name, "TOE", "FCC")
+        seconds = np.arange(len(markers[0])) / MARKERS_HZ
         found[walk.name] = []
         for stride, path in zip(*walked(walk.track), strict=True):
-            toe, heel = (
-                np.column_stack([np.interp(path.t_ns / NS_PER_S, seconds, place[name][:, k]) for k in range(3)])
-                for name in ("TOE", "FCC")
-            )
+            at_s = path.t_ns / NS_PER_S
+            toe, heel = (np.column_stack([np.interp(at_s, seconds, axis) for axis in place.T]) for place in markers)
             # nothing tells the sensor where the laboratory's x points: the heel's way is turned to the sensor's
             (x, y), (u, v) = (heel[-1] - heel[0])[:2], path.position_m[-1, :2]
             angle = np.arctan2(v, u) - np.arctan2(y, x)
@@ -153,7 +137,7 @@ def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
     """What the module's text says, by name."""
     given = given_arms(strides)
     sole = arms_of(estimate_geometry([stride.path for stride in strides]).geometry)
-    toe_up, heel_up = (float(np.median([each[0, 2] for each in tracks])) for tracks in _tracks(strides))
+    toe_up, heel_up = (float(np.median([getattr(s, name)[0, 2] for s in strides])) for name in ("toe_m", "heel_m"))
     return {
         "given": given,
         "given, not sideways": FootArms((given.toe_m[0], 0.0, given.toe_m[2]), (given.heel_m[0], 0.0, given.heel_m[2])),
@@ -163,49 +147,34 @@ def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
     }
 
 
-def _tracks(strides: list[MarkedStride]) -> tuple[list[FloatArray], list[FloatArray]]:
-    return [stride.toe_m for stride in strides], [stride.heel_m for stride in strides]
-
-
 def marker_rows(folder: Path) -> Iterator[Row]:
     """The walk with markers, both feet together, straight strides."""
     sides = marked_strides(folder)
-    names = ("given", "given, not sideways", "estimated") if sides else ()
-    for name in names:
-        for anchored in (False, True):
-            errors = []
-            for strides in sides.values():
-                arms = arms_by_geometry(strides)[name]
-                levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
-                for stride in strides:
-                    if stride.straight:
-                        found = clearances([stride.path], arms, levels)[0, [TOE, HEEL]]
-                        errors.append(np.subtract(found, stride.truth()))
-            yield _row("gaitmap_walk, markers", name, anchored, errors)
+    for name, anchored in product(("given", "given, not sideways", "estimated") if sides else (), (False, True)):
+        errors = []
+        for strides in sides.values():
+            arms = arms_by_geometry(strides)[name]
+            levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
+            for stride in (stride for stride in strides if stride.straight):
+                found = clearances([stride.path], arms, levels)[0, [TOE, HEEL]]
+                errors.append(np.subtract(found, stride.truth()))
+        yield _row("gaitmap_walk, markers", name, anchored, errors)
 
 
 def trial_rows() -> Iterator[Row]:
     """The bundled trials, all feet together, steady strides."""
-    for name in ("given", "estimated"):
-        for anchored in (False, True):
-            errors = []
-            for trial in NAMES:
-                errors += _trial_errors(trial, estimated=name == "estimated", anchored=anchored)
-            yield _row("bundled trials", name, anchored, errors)
-
-
-def _trial_errors(trial: str, *, estimated: bool, anchored: bool) -> list[FloatArray]:
-    truth = load_truth(TRIALS / f"{trial}.parquet")
-    errors = []
-    for foot, geometry, paths in trial_paths(trial):
-        arms = arms_of(estimate_geometry(paths).geometry) if estimated else geometry
-        levels = contact_levels(contact_heights(paths, arms)) if anchored else None
-        for true in (each for each in truth.strides_of(foot) if each.steady and each.walking):
-            path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
-            if path is not None:
-                found = clearances([path], arms, levels)[0, [TOE, HEEL]]
-                errors.append(np.subtract(found, (true.toe_clearance_m, true.heel_clearance_m)))
-    return errors
+    for kind, anchored in product(("given", "estimated"), (False, True)):
+        errors = []
+        for walk, (foot, geometry, paths) in ((name, each) for name in WALKS for each in trial_paths(name)):
+            arms = arms_of(estimate_geometry(paths).geometry) if kind == "estimated" else geometry
+            levels = contact_levels(contact_heights(paths, arms)) if anchored else None
+            truth = load_truth(TRIALS / f"{walk}.parquet").strides_of(foot)
+            for true in (each for each in truth if each.steady and each.walking):
+                path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
+                if path is not None:
+                    found = clearances([path], arms, levels)[0, [TOE, HEEL]]
+                    errors.append(np.subtract(found, (true.toe_clearance_m, true.heel_clearance_m)))
+        yield _row("bundled trials", kind, anchored, errors)
 
 
 @cache
@@ -224,24 +193,20 @@ def _row(data: str, geometry: str, anchored: bool, errors: list[FloatArray]) -> 
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 3 without the recordings with markers."""
     options = parser_of(__doc__).parse_args(arguments)
-    rows = [*trial_rows(), *marker_rows(data_folder())]
-    table = Table("data", "geometry", "contact levels", "strides", "toe cm", "heel cm", "bar")
-    for row in rows:
-        cells = [f"{100.0 * mean:+.2f} ± {100.0 * sd:.2f}" for mean, sd in (row.toe_m, row.heel_m)]
-        kept = "yes" if row.holds else "no"
-        table.add_row(row.data, row.geometry, "yes" if row.anchored else "no", str(row.strides), *cells, kept)
+    rows = [
+        [row.data, row.geometry, "yes" if row.anchored else "no", str(row.strides),
+         *(f"{100.0 * mean:+.2f} ± {100.0 * sd:.2f}" for mean, sd in (row.toe_m, row.heel_m)),
+         "yes" if row.holds else "no"] for row in (*trial_rows(), *marker_rows(data_folder()))
+    ]  # fmt: skip
+    table = table_of("", ("data", "geometry", "contact levels", "strides", "toe cm", "heel cm", "bar"), rows)
     arms_told = []
     for side, strides in marked_strides(data_folder()).items():
         for name, arms in arms_by_geometry(strides).items():
             toe, heel = (" ".join(f"{100.0 * part:+.1f}" for part in arm) for arm in (arms.toe_m, arms.heel_m))
             arms_told.append(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
     publish(console_of(120), [table], options, arms_told, folder=data_folder())
-    if not marked_strides(data_folder()):
-        print(f"No gaitmap_walk in {data_folder()}; set FES_DATA.", file=sys.stderr)
-        return 3
-    return 0
+    return 0 if marked_strides(data_folder()) else no_recordings(data_folder())
 
 
 if __name__ == "__main__":

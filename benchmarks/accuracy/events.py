@@ -1,44 +1,43 @@
 """Initial contact and foot off, off-line and causal, and the foot-strike angle; exit code 1 if a bar fails.
 
-    python benchmarks/accuracy/events.py [--data FOLDER] [--json FILE]
-
 Truth: markers (gaitmap_walk) and the bundled trials. On stroke_treadmill, where no truth per stride exists, the causal
-decisions are compared with the off-line events, and the foot-strike angle with Vicon's mean per run. Three causal ways:
-the paper's peaks, our instants, the phase machine's T3/T6 and T2. Times are estimate − truth; a causal decision's is
-the delay after the true event, early ones negative. An event further than 0.15 s (causal: 0.25 s) from a true one is
-missed.
-
-An event where the reference has none counts as extra, unless the heel marker confirms it: in a turn the reference
-joins two steps of one foot to one stride (left, 16.9–18.5 s), while the marker rests for 0.6 s between them.
-The recordings are not part of the project (see docs/accuracy.md); without them only the bundled trials are measured,
-and the exit code is 3.
+decisions are compared with the off-line events, and the foot-strike angle with Vicon's mean per run. Times are
+estimate − truth; a causal decision's is the delay after the true event. An event further than 0.15 s (causal: 0.25 s)
+from a true one is missed. One where the reference has none counts as extra, unless the heel marker confirms it. Without
+recordings only the bundled trials are measured, and the exit code is 3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, verdict
-from benchmarks.lib.event_cases import Case, bundled_cases, data_folder, gaitmap_cases, stroke_tracks
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
+from benchmarks.lib.real_sets import (
+    Case,
+    bundled_cases,
+    data_folder,
+    gaitmap_cases,
+    load_run,
+    strike_deg,
+)
+from benchmarks.lib.walkers import causal
 from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import OnlineEvent, OnlineEvents, Rule
 from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
 from fes.estimation.foot.calibration import FootCalibration
-from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track
 from fes.signals import FloatArray
-from statemachine.phases import PhaseChange, Transition
 
 OFFLINE_S, CAUSAL_S = 0.15, 0.25
 CONTACTS = 50  # that the Vicon mean per side is over
 OFFLINE_BAR_MS = {"IC": (5.0, 7.0), "FO": (5.0, 5.0)}
 CAUSAL_BAR_MS = (20.0, 50.0)
 STRIKE_BAR = (0.96, 2.0)
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,12 @@ class Score:
     found: int
     extra: int
     confirmed: int
-    mean_ms: float
-    sd_ms: float
-    median_ms: float
-    p95_ms: float
-    least_ms: float
-    most_ms: float
+    mean_ms: float = NAN
+    sd_ms: float = NAN
+    median_ms: float = NAN
+    p95_ms: float = NAN
+    least_ms: float = NAN
+    most_ms: float = NAN
 
     @property
     def recall(self) -> float:
@@ -69,41 +68,44 @@ class Score:
         return self.found / max(self.found + self.extra, 1)
 
 
+def stroke_tracks(folder: Path) -> list[tuple[str, Track, float]]:
+    """Run, foot and Vicon's mean foot-strike angle (deg)."""
+    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
+    return [(path.stem, track, strike_deg(path)) for path in paths for track in load_run(path)[0].values()]
+
+
 def offline(track: Track, calibration: FootCalibration) -> GaitEvents:
     return find_events(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, calibration)
-
-
-def decided(track: Track, calibration: FootCalibration, rule: Rule) -> dict[str, FloatArray]:
-    """When each event was known, in s from the start."""
-    decisions = OnlineEvents(calibration, rule).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return {
-        event.name: seconds(track, [d.t_ns for d in decisions if d.event is event])
-        for event in (OnlineEvent.IC, OnlineEvent.FO)
-    }
-
-
-def phases(track: Track, calibration: FootCalibration) -> dict[str, FloatArray]:
-    """When the phase machine entered loading response (or stance straight from swing) and swing."""
-    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up))
-    tracker = FootTracker(calibration, StrideMaker(track.sensor, settings))
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    changes = [outcome for outcome in outcomes if isinstance(outcome, PhaseChange)]
-    contact, off = (Transition.T3, Transition.T6), (Transition.T2,)
-    return {
-        name: seconds(track, [change.t_ns for change in changes if change.transition in which])
-        for name, which in (("IC", contact), ("FO", off))
-    }
 
 
 def seconds(track: Track, t_ns: list[int]) -> FloatArray:
     return np.array([t - int(track.t_sensor_ns[0]) for t in t_ns], float) * 1e-9
 
 
+def by_events(track: Track, calibration: FootCalibration) -> dict[str, FloatArray]:
+    found = offline(track, calibration)
+    return {"IC": seconds(track, found.ic_ns.tolist()), "FO": seconds(track, found.fo_ns.tolist())}
+
+
+def decided(track: Track, calibration: FootCalibration, rule: Rule) -> dict[str, FloatArray]:
+    """When each event was known, in s from the start."""
+    decisions = OnlineEvents(calibration, rule).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    events = (OnlineEvent.IC, OnlineEvent.FO)
+    return {event.name: seconds(track, [d.t_ns for d in decisions if d.event is event]) for event in events}
+
+
+def phases(track: Track, calibration: FootCalibration) -> dict[str, FloatArray]:
+    """When the phase machine entered loading response (or stance straight from swing) and swing."""
+    changes, _ = causal(track, calibration)
+    named = {"IC": ("T3", "T6"), "FO": ("T2",)}
+    return {
+        name: seconds(track, [change.t_ns for change in changes if change.transition.name in which])
+        for name, which in named.items()
+    }
+
+
 METHODS: dict[str, Callable[[Track, FootCalibration], dict[str, FloatArray]]] = {
-    "off-line": lambda track, c: {
-        "IC": seconds(track, offline(track, c).ic_ns.tolist()),
-        "FO": seconds(track, offline(track, c).fo_ns.tolist()),
-    },
+    "off-line": by_events,
     "causal, the paper's peaks": lambda track, c: decided(track, c, Rule.PEAKS),
     "causal, instants": lambda track, c: decided(track, c, Rule.INSTANTS),
     "causal, phase machine": phases,
@@ -125,29 +127,26 @@ def score(data: str, cases: list[Case], method: str) -> list[Score]:
     """Both events of one method, all feet of a data set together."""
     tolerance_s = OFFLINE_S if method == "off-line" else CAUSAL_S
     found: dict[str, list[FloatArray]] = {"IC": [], "FO": []}
-    extra, confirmed = dict.fromkeys(found, 0), dict.fromkeys(found, 0)
+    true, extra, confirmed = (dict.fromkeys(found, 0) for _ in range(3))
     for case in cases:
         events = METHODS[method](case.track, calibrate_track(case.track))
         begin, end = case.fo_s[0] - 0.1, case.ic_s[-1] + 0.1
-        for event, true in (("IC", case.ic_s), ("FO", case.fo_s)):
-            errors, left = compare(events[event], true, tolerance_s)
+        for event, at_s in (("IC", case.ic_s), ("FO", case.fo_s)):
+            errors, left = compare(events[event], at_s, tolerance_s)
             found[event].append(errors)
-            inside = [float(t) for t in left if begin < t < end]
-            confirmed[event] += sum(case.confirmed(event, t) for t in inside)
-            extra[event] += sum(not case.confirmed(event, t) for t in inside)
+            told = [case.confirmed(event, float(t)) for t in left if begin < t < end]
+            true[event] += len(at_s)
+            confirmed[event] += sum(told)
+            extra[event] += len(told) - sum(told)
     scores = []
     for event, parts in found.items():
         ms = 1e3 * np.concatenate(parts)
-        true_events = sum(len(case.ic_s if event == "IC" else case.fo_s) for case in cases)
-        scores.append(_score(data, method, event, true_events, extra[event], confirmed[event], ms))
+        numbers = [NAN] * 6
+        if len(ms) > 1:
+            numbers = [ms.mean(), ms.std(ddof=1), np.median(ms), np.percentile(ms, 95), ms.min(), ms.max()]
+        counts = true[event], len(ms), extra[event], confirmed[event]
+        scores.append(Score(data, method, event, *counts, *(float(x) for x in numbers)))
     return scores
-
-
-def _score(data: str, method: str, event: str, true: int, extra: int, confirmed: int, ms: FloatArray) -> Score:
-    if len(ms) < 2:
-        return Score(data, method, event, true, len(ms), extra, confirmed, *[float("nan")] * 6)
-    numbers = (ms.mean(), ms.std(ddof=1), np.median(ms), np.percentile(ms, 95), ms.min(), ms.max())
-    return Score(data, method, event, true, len(ms), extra, confirmed, *(float(x) for x in numbers))
 
 
 def strike_angles(tracks: list[tuple[str, Track, float]]) -> dict[str, tuple[float, float]]:
@@ -177,59 +176,43 @@ def holds(s: Score) -> bool:
     return s.median_ms <= median and s.p95_ms <= p95 and s.found == s.true
 
 
+def _as_truth(run: str, track: Track) -> Case:
+    events = by_events(track, calibrate_track(track))
+    return Case(run, track, events["IC"], events["FO"])
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
-    console = console_of(170)
     there = (options.data / "gaitmap_walk").is_dir() and (options.data / "stroke_treadmill").is_dir()
     bundled = bundled_cases()
     sets = [(name, [c for c in bundled if c.name == name]) for name in dict.fromkeys(c.name for c in bundled)]
-    tracks = stroke_tracks(options.data) if there else []
     if there:
         sets.insert(0, ("gaitmap_walk", gaitmap_cases(options.data)))
     scores = [s for name, cases in sets for method in METHODS for s in score(name, cases, method)]
+    lines = []
     if there:
+        tracks = stroke_tracks(options.data)
         known = [_as_truth(run, track) for run, track, _ in tracks]
         scores += [s for method in list(METHODS)[1:] for s in score("stroke, against off-line", known, method)]
-    angles = strike_angles(tracks)
+        angles = strike_angles(tracks)
+        correlation, offset, sd = strike_score(angles)
+        each = ", ".join(f"{k} {v[0]:.1f} {v[1]:.1f}" for k, v in angles.items())
+        lines = [
+            f"Foot-strike angle, deg (Vicon, ours): {each}.",
+            f"Foot-strike angle against Vicon: correlation {correlation:.3f}, offset {offset:+.1f}°, SD {sd:.2f}°.",
+        ]
+    columns = ("data", "method", "event", "true", "found", "extra", "confirmed", "mean ± SD ms")
+    rows = [
+        [s.data, s.method, s.event, *(str(x) for x in (s.true, s.found, s.extra, s.confirmed)),
+         f"{s.mean_ms:+.1f} ± {s.sd_ms:.1f}", *(f"{x:+.0f}" for x in (s.median_ms, s.p95_ms, s.least_ms, s.most_ms))]
+        for s in scores
+    ]  # fmt: skip
+    console = console_of(170)
+    publish(console, [table_of("", (*columns, "median", "95 %", "least", "most"), rows)], options, lines)
     if not there:
-        publish(console, [_table(scores)], options)
-        console.print(f"No gaitmap_walk and stroke_treadmill in {options.data}; set FES_DATA or --data.")
-        return 3
-    correlation, offset, sd = strike_score(angles)
-    each = ", ".join(f"{k} {v[0]:.1f} {v[1]:.1f}" for k, v in angles.items())
-    strike = f"Foot-strike angle against Vicon: correlation {correlation:.3f}, offset {offset:+.1f}°, SD {sd:.2f}°."
-    publish(console, [_table(scores)], options, [f"Foot-strike angle, deg (Vicon, ours): {each}.", strike])
+        return no_recordings(options.data)
     judged = [s for s in scores if s.data == "gaitmap_walk" and s.method in ("off-line", "causal, instants")]
-    held = all(holds(s) for s in judged) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1]
-    return verdict(console, held, several=True)
-
-
-def _as_truth(run: str, track: Track) -> Case:
-    events = offline(track, calibrate_track(track))
-    return Case(run, track, seconds(track, events.ic_ns.tolist()), seconds(track, events.fo_ns.tolist()))
-
-
-def _table(scores: list[Score]) -> Table:
-    table = Table(
-        "data",
-        "method",
-        "event",
-        "true",
-        "found",
-        "extra",
-        "confirmed",
-        "mean ± SD ms",
-        "median",
-        "95 %",
-        "least",
-        "most",
-    )
-    for s in scores:
-        counts = [str(x) for x in (s.true, s.found, s.extra, s.confirmed)]
-        spans = [f"{x:+.0f}" for x in (s.median_ms, s.p95_ms, s.least_ms, s.most_ms)]
-        table.add_row(s.data, s.method, s.event, *counts, f"{s.mean_ms:+.1f} ± {s.sd_ms:.1f}", *spans)
-    return table
+    return verdict(console, all(map(holds, judged)) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1])
 
 
 if __name__ == "__main__":

@@ -1,100 +1,63 @@
 """Phases, strides and events of every walker there is, by one default setting, against a judge of its own.
 
-    python benchmarks/accuracy/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER]
-        [--json FILE] [--raw FILE]
-
-All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``fes/analysis/swings.py``,
-from the raw signals; on footswitch_treadmill by the labels, and a swing that these lack and the raw signals show may
-be there too: a dragged foot keeps a switch closed. What is judged is what users get: calibration from the recording
-itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
-
-Per foot: strides with the four phases in order; false swings per 100; swings answered by a stride with a length, and
-those for which a stride says why it has none; speed over the belt's (last 120 s; length over the time from the end of
-the stride before to its own, so whole cycles); error of stride length ("fast": the cycle lasts less than 0.9 s);
-events of ``fes analyse`` per swing; foot-strike angle against Vicon's mean; and the share of strides whose phases are
-the same when the sensor is calibrated on 20 s elsewhere (three places). Footswitches: how much later than the label
-each of T1–T4 is, how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), and how
-much of its loading lies in the machine's stance or pre-swing (left without stimulation), where neither spike nor stall
-nor burst is near. A refused foot has no stride in order, in every table. ``--raw`` keeps everything, so that two
-versions can be compared.
+Swings are found by ``fes/analysis/swings.py``, from the raw signals; on footswitch_treadmill by the labels, and a swing
+that these lack and the raw signals show may be there too: a dragged foot keeps a switch closed. What is judged is what
+users get: calibration from the recording itself, phases and strides as they come live, ``fes analyse`` ("off-line").
+"fast": the cycle lasts less than 0.9 s. "elsewhere": phases the same when calibrated on 20 s elsewhere (three places).
+A refused foot has no stride in order. ``--raw`` keeps everything, so that two versions can be compared.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.ankle import load_shanks
-from benchmarks.accuracy.stroke_treadmill import LAST_S, data_folder, load_run, track_of
-from benchmarks.lib.command_line import console_of, parser_of, publish, save
-from benchmarks.lib.event_cases import gaitmap_cases
-from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk, marker_strides, pyshoe_vicon, ruler_walks
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, save
+from benchmarks.lib.real_sets import LAST_S, PathWalk, Walk, data_folder, marker_strides
 from benchmarks.lib.swing_judge import (
     IN_ORDER,
     Labelled,
     answered,
     fired_by_stride,
     in_order,
-    labelled,
     pairs,
     score,
     swing_phases,
 )
+from benchmarks.lib.walkers import (
+    DRIFTING,
+    LYING,
+    SETS,
+    SHORT_FLAT,
+    Foot,
+    calibrate,
+    causal,
+    feet_of,
+    of_all,
+    swings_of,
+)
 from fes.analysis.pipeline import analyse
-from fes.analysis.swings import Swings, find_swings
-from fes.calibration.recording import calibrate_shank_track, calibrate_track
+from fes.analysis.swings import Swings
 from fes.estimation.events.offline import foot_strike_angles
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
-from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.sensor_choice import Calibration, stride_settings
-from fes.estimation.shank.tracker import ShankTracker
-from fes.estimation.strides.results import StrideMaker
-from fes.recording import Recording, Track
-from fes.recording.tracks import TrackQuality, increasing, newer_samples
+from fes.recording import Recording
+from fes.recording.tracks import newer_samples
 from fes.signals import StrideResult
 from statemachine.phases import PhaseChange, Transition
 
-SETS = (
-    "stroke_treadmill", "shanks", "pyshoe_vicon", "ruler_walks", "gaitmap_walk", "footswitch_treadmill", "stroke_walks"
-)  # fmt: skip
 FAST_S = 0.9
 CONTACTS = 50  # of a side, that Vicon's mean is over
 ELSEWHERE_S, ELSEWHERE = 20.0, (0.25, 0.5, 0.75)
 NEXT_S = 0.5  # a stride that begins this soon after the last one's end goes on where that ended
-LYING, DRIFTING = ("P06",), ("P07_1", "H04_2")  # sensor, labels
-SHORT_FLAT = ("H03",)  # T4 cannot be judged
 TIMES = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
 COSTS = ("flat_ms", "loading_left_ms")  # of a stride, by a channel from T1 to T4
-SPIKE_MPS2, SPIKE_RADPS = 400.0, 40.0
-
-
-@dataclass(frozen=True, eq=False)
-class Foot:
-    """One sensor of one walk. ``judge`` is the track that swings are counted by, its own unless it is a shank's."""
-
-    data_set: str
-    part: str
-    person: str
-    run: str
-    track: Track
-    judge: Track | None = None
-    walk: Walk | None = None
-    belt_mps: float = float("nan")
-    strike_deg: float = float("nan")
-    labels: Labelled | None = None
-    ic_s: Any = None
-    fo_s: Any = None
 
 
 @dataclass
@@ -137,119 +100,6 @@ class Found:
         return 100.0 * self.in_order / self.strides if self.strides else float("nan")
 
 
-# --- what there is to walk through ------------------------------------------------------------------------------------
-
-
-def stamped(
-    sensor: str,
-    rate_hz: float,
-    t_s: Any,
-    acc: Any,
-    gyr: Any,
-    acc_range: float | None = None,
-    gyr_range: float | None = None,
-) -> Track:
-    """A track of what a file holds, without rows that no sensor can have measured (spikes), by its own stamps."""
-    sound = (np.abs(acc).max(axis=1) < SPIKE_MPS2) & (np.abs(gyr).max(axis=1) < SPIKE_RADPS)
-    t_ns = np.round(1e9 * (t_s[sound] - t_s[0])).astype(np.int64)
-    acc, gyr = (np.ascontiguousarray(values[sound], dtype=float) for values in (acc, gyr))
-    return Track(
-        sensor, rate_hz, np.maximum.accumulate(t_ns), t_ns, acc, gyr,
-        acc_range, gyr_range, TrackQuality(samples=len(t_ns)),
-    )  # fmt: skip
-
-
-def stroke_treadmill(folder: Path, part: str) -> Iterator[Foot]:
-    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
-        strike_deg = float(np.load(path)["fsa_mean_deg"])
-        tracks, belt_mps = load_run(path)
-        for track in tracks.values():
-            yield Foot(
-                "stroke_treadmill", part, path.stem[:4], path.stem, track, belt_mps=belt_mps, strike_deg=strike_deg
-            )
-
-
-def shanks(folder: Path, part: str) -> Iterator[Foot]:
-    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
-        feet, belt_mps = load_run(path)
-        found, rate_hz, _ = load_shanks(path)
-        for sensor, (acc, gyr) in found.items():
-            track, foot = track_of(sensor, rate_hz, acc, gyr), feet[sensor.replace("shank", "foot")]
-            yield Foot("shanks", part, path.stem[:4], path.stem, track, foot, belt_mps=belt_mps)
-
-
-def measured_walks(walks: Iterable[Walk], part: str, person: Callable[[str], str]) -> Iterator[Foot]:
-    for walk in walks:
-        yield Foot(walk.data_set, part, person(walk.name), walk.name, walk.track, walk=walk)
-
-
-def gaitmap(folder: Path, part: str) -> Iterator[Foot]:
-    if (folder / "gaitmap_walk" / "mocap_sample.csv").is_file():
-        for walk, case in zip(gaitmap_walk(folder), gaitmap_cases(folder), strict=True):
-            yield Foot("gaitmap_walk", part, "adult", walk.name, walk.track, walk=walk, ic_s=case.ic_s, fo_s=case.fo_s)
-
-
-def footswitch_treadmill(folder: Path, part: str) -> Iterator[Foot]:
-    for path in sorted((folder / "footswitch_treadmill").glob("*.npz")):
-        data = np.load(path)
-        meta, t_s = json.loads(str(data["meta"])), data["foot_t_s"]
-        track = stamped("right_foot", meta["rate_hz_mean"], t_s, data["foot_acc"], data["foot_gyr"])
-        labels = labelled(np.round(1e9 * (t_s - t_s[0])).astype(np.int64), data["label"], data["bad"])
-        yield Foot("footswitch_treadmill", part, meta["person"], path.stem, track, labels=labels)
-
-
-def stroke_walks(folder: Path, part: str) -> Iterator[Foot]:
-    for path in sorted((folder / "stroke_walks").glob("*.npz")):
-        data = np.load(path)
-        meta = json.loads(str(data["meta"]))
-        ranges = 9.80665 * meta["acc_range_g"], float(np.radians(meta["gyr_range_degps"]))
-        for side in ("left", "right"):
-            acc, gyr = (data[f"{side}_{kind}"] for kind in ("acc", "gyr"))
-            track = stamped(f"{side}_foot", meta["rate_hz"], data[f"{side}_t_s"], acc, gyr, *ranges)
-            yield Foot("stroke_walks", f"{part}, {meta['group']}", path.stem, path.stem, before_the_jump(track))
-
-
-def before_the_jump(track: Track) -> Track:
-    """Without a late block whose clock has gone back."""
-    back = np.flatnonzero(~increasing(track))
-    return track.part(slice(0, int(back[0]))) if len(back) and back[0] > 0.9 * len(track.t_ns) else track
-
-
-def feet_of(data: Path, wanted: Iterable[str]) -> Iterator[Foot]:
-    """All feet of these sets, known and unseen."""
-    readers: dict[str, Callable[[Path, str], Iterator[Foot]]] = {
-        "stroke_treadmill": stroke_treadmill,
-        "shanks": shanks,
-        "pyshoe_vicon": lambda folder, part: measured_walks(pyshoe_vicon(folder), part, lambda name: name[:10]),
-        "ruler_walks": lambda folder, part: measured_walks(ruler_walks(folder), part, lambda name: name.split("_")[1]),
-        "gaitmap_walk": gaitmap,
-        "footswitch_treadmill": footswitch_treadmill,
-        "stroke_walks": stroke_walks,
-    }
-    for name in wanted:
-        for folder, part in ((data, "known"), (data / "unseen_walkers", "unseen")):
-            yield from readers[name](folder, part)
-
-
-# --- one foot ---------------------------------------------------------------------------------------------------------
-
-
-def calibrate(track: Track) -> Calibration:
-    """As ``fes calibrate`` does."""
-    return calibrate_shank_track(track) if track.sensor.endswith("shank") else calibrate_track(track)
-
-
-def causal(track: Track, calibration: Calibration) -> tuple[list[PhaseChange], list[StrideResult]]:
-    """Phase changes and strides as they come live."""
-    if isinstance(calibration, FootCalibration):
-        tracker: Any = FootTracker(calibration, StrideMaker(track.sensor, stride_settings(calibration)))
-    else:
-        tracker = ShankTracker(calibration)
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    changes = [outcome for outcome in outcomes if isinstance(outcome, PhaseChange)]
-    return changes, [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
-
-
 def speed_mps(strides: list[StrideResult], since_ns: float) -> float:
     """Length over time of whole cycles: from the end of the stride before to the stride's own."""
     length = time = 0.0
@@ -282,13 +132,6 @@ def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -
     judged = [(s, true_m) for s, true_m in judged if np.isfinite(true_m)]
     errors = [100.0 * (s.stride_length_m - true_m) for s, true_m in judged]
     return errors, [cycle_s(swings, s) < FAST_S for s, _ in judged]
-
-
-def swings_of(foot: Foot) -> Swings:
-    """What this foot's phases are held against."""
-    by = foot.judge or foot.track
-    seen = find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
-    return seen if foot.labels is None else foot.labels.swings(seen)
 
 
 def judge(foot: Foot) -> Found:
@@ -538,7 +381,6 @@ def low_lines(found: list[Found]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 3 without data."""
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--only", nargs="+", choices=SETS, default=SETS, help="these sets alone")
     parser.add_argument("--persons", nargs="+", help="these walkers alone, as the tables name them")
@@ -548,14 +390,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     feet = (f for f in feet_of(options.data, options.only) if not options.persons or f.person in options.persons)
     feet = (f for f in feet if not options.part or f.part.startswith(options.part))
-    if options.jobs > 1:
-        with ProcessPoolExecutor(options.jobs) as pool:
-            found = list(pool.map(judge, feet, chunksize=1))
-    else:
-        found = [judge(foot) for foot in feet]
+    found = of_all(judge, feet, options.jobs)
     if not found:
-        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(options.data)
     console, groups = console_of(190), groups_of(found)
     tables = [phases_table(groups), lengths_table(groups), delays_table(found)]
     publish(console, tables, options, [*strike_lines(found), *low_lines(found)])

@@ -1,7 +1,5 @@
 """Clearance on an incline against the simulated truth, and stairs and level ground told apart by the sensor alone.
 
-    python benchmarks/accuracy/inclines.py [--data FOLDER] [--json FILE]
-
 Inclines: two walkers of the recordings' generator (a healthy pair of feet, Negård et al.'s first patient) on a belt
 that is inclined by −15 to 15 %, three sensors (seeds of their own) each. Errors of ``fes analyse`` and of the live
 tracker with the incline set, of ``fes analyse --slope``, and, for what it costs not to set it, as on level ground. The
@@ -21,19 +19,14 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.every_walker import SETS, feet_of
-from benchmarks.accuracy.hemiparetic_walks import stairs
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
+from benchmarks.lib.real_sets import data_folder, stairs
+from benchmarks.lib.walkers import SETS, feet_of, outcomes_of
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.calibration.recording import calibrate_track
 from fes.config import FootGeometry, Ground
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
-from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.sensor_choice import stride_settings
-from fes.estimation.strides.results import StrideMaker
 from fes.recording import Recording, Track
 from fes.signals import StrideResult
 from fes.simulation.truth import Truth, TruthStride
@@ -79,8 +72,8 @@ def live_strides(
     track: Track, calibration: FootCalibration, geometry: FootGeometry | None, ground: Ground
 ) -> list[StrideResult]:
     """As a live session has them."""
-    tracker = FootTracker(calibration, StrideMaker(track.sensor, stride_settings(calibration, geometry, ground)))
-    return tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
+    outcomes = outcomes_of(track, calibration, geometry, ground)
+    return [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
 
 
 def clearances(walker: str) -> Iterator[Clearance]:
@@ -160,27 +153,24 @@ def rises(data: Path) -> Iterator[Rises]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print both tables."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
-    clearance = Table("walker", "incline %", "way", "strides", "toe cm", "heel cm", "length cm")
     every = [each for walker in WALKERS for each in clearances(walker)]
+    rows = []
     for walker, incline, way in product(WALKERS, INCLINES_PERCENT, WAYS):
         own = [each for each in every if (each.walker, each.incline_percent, each.way) == (walker, incline, way)]
         cells = []
         for name in ("toe_cm", "heel_cm", "length_cm"):
             values = np.concatenate([getattr(each, name) for each in own])
-            cells.append(
-                f"{np.nanmean(values):+.2f} ± {np.nanstd(values):.2f}" if np.isfinite(values).any() else "none"
-            )
-        clearance.add_row(walker, f"{incline:+.0f}", way, str(sum(len(each.toe_cm) for each in own)), *cells)
-    found = list(rises(options.data))
-    table = Table("data", "strides", "rise, median cm", "SD cm", "left out")
-    for rise in found:
+            known = np.isfinite(values).any()
+            cells.append(f"{np.nanmean(values):+.2f} ± {np.nanstd(values):.2f}" if known else "none")
+        rows.append([walker, f"{incline:+.0f}", way, str(sum(len(each.toe_cm) for each in own)), *cells])
+    clearance = table_of("", ("walker", "incline %", "way", "strides", "toe cm", "heel cm", "length cm"), rows)
+    rows = []
+    for rise in rises(options.data):
         values = np.array(rise.free_rise_m)
-        sd = 1.4826 * np.median(np.abs(values - np.median(values)))
-        table.add_row(
-            rise.data_set, str(len(values)), f"{100 * np.median(values):+.1f}", f"{100 * sd:.1f}", f"{rise.left_out}"
-        )
+        middle, sd = np.median(values), 1.4826 * np.median(np.abs(values - np.median(values)))
+        rows.append([rise.data_set, str(len(values)), f"{100 * middle:+.1f}", f"{100 * sd:.1f}", str(rise.left_out)])
+    table = table_of("", ("data", "strides", "rise, median cm", "SD cm", "left out"), rows)
     publish(console_of(150), [clearance, table], options)
     return 0
 

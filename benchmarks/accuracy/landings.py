@@ -1,19 +1,12 @@
 """Foot flat and heel rise of feet that land on the heel, flat and on the toes, brisk and slow; refused ones count.
 
-    python benchmarks/accuracy/landings.py [--feet N] [--each] [--json FILE]
-
 A generator of its own: it shares no code and no constant with ``sim_inputs/`` or :mod:`fes.simulation`. A stiff foot
-turns about its toe until foot off, flies along polynomials, strikes with what is left of its speed, which the shoe
-takes up within some milliseconds, and turns about what it landed on until it is flat; in stance it gives by a degree
-before its heel rises. Durations of the phases and pitch at contact are drawn around what Perry and Burnfield (2010)
-give for adults, and around flat and forefoot contacts as they describe them after stroke; 40 strides a foot.
-
-The truth: foot flat is from when the pitch stays within 2° of standing until the heel rises, heel rise is when the heel
-is 5 mm higher than before it rose. Reported on both sides: how much later than the truth T1 and T4 are; of each stride
-how long the flat foot lies before T4 (a burst up to foot flat would go on), and how much of the landing lies behind it
-(left without).
-Exit code 1 if a bar is missed: of each kind the median of T4 within 30 ms and 5–95 % within 80 ms, T1 at most 40 ms
-late in the median and 80 ms in 95 %, nobody refused.
+turns about its toe until foot off, flies along polynomials, strikes with what is left of its speed, and turns about
+what it landed on until it is flat; in stance it gives by a degree before its heel rises. Durations and pitch at contact
+are drawn around what Perry and Burnfield (2010) give for adults, and around flat and forefoot contacts as they describe
+them after stroke. The truth: foot flat is from when the pitch stays within 2° of standing until the heel rises, heel
+rise is when the heel is 5 mm higher than before it rose. Bars, of each kind: T4 within 30 ms in the median and within
+80 ms from 5 to 95 %, T1 at most 40 ms late in the median and 80 ms in 95 %, nobody refused.
 """
 
 from __future__ import annotations
@@ -24,14 +17,13 @@ from itertools import product
 from math import radians
 
 import numpy as np
-from rich.table import Table
 from scipy.interpolate import BPoly
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.every_walker import calibrate, causal
-from benchmarks.accuracy.stroke_treadmill import track_of
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, verdict
+from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.walkers import calibrate, causal
+from fes.datasets.common import even_track
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import Track
 from fes.signals import FloatArray
@@ -182,7 +174,7 @@ def _track(
     mount = Rotation.from_euler("yxz", random.normal(0.0, [18.0, 8.0, 10.0]), degrees=True)
     acc = mount.inv().apply(acc) + random.normal(0.0, 0.15, 3) + random.normal(0.0, 0.05, acc.shape)
     gyr = mount.inv().apply(gyr) + random.normal(0.0, 0.005, 3) + random.normal(0.0, 0.008, gyr.shape)
-    return track_of("right_foot", float(RATE_HZ), acc, gyr)
+    return even_track("right_foot", float(RATE_HZ), acc, gyr)
 
 
 def judge(made: Made) -> Late:
@@ -216,28 +208,27 @@ def holds(late: Late) -> bool:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 1 if a bar is missed."""
     parser = parser_of(__doc__)
     parser.add_argument("--feet", type=int, default=12, help="of each kind")
-    parser.add_argument("--each", action="store_true", help="a line for every foot")
     options = parser.parse_args(arguments)
-    console, held = console_of(150), True
-    table = Table("landing", "pace", "feet", "refused", "strides", "T1 ms", "found %", "T4 ms", "found %",
-                  "flat foot stimulated, median, 95 % ms", "landing left, median, 95 % ms", "bars")  # fmt: skip
+    rows, held = [], True
     for landing, pace in product(LANDINGS, PACES):
         late = Late()
         for number in range(options.feet):
-            own = judge(walk(landing, pace, number))
-            late = late.with_feet(own)
-            if options.each:
-                console.print(f"{landing} {pace} {number}: T1 {spread(own.t1)}, T4 {spread(own.t4)}", markup=False)
+            late = late.with_feet(judge(walk(landing, pace, number)))
         held &= holds(late)
         found = [f"{100.0 * len(each) / late.strides:.1f}" for each in (late.t1, late.t4)]
         cost = [f"{np.median(ms):.0f}, {np.percentile(ms, 95):.0f}" if ms else "–" for ms in (late.flat, late.left)]
-        table.add_row(landing, pace, str(late.feet), str(late.refused), str(late.strides), spread(late.t1), found[0],
-                      spread(late.t4), found[1], *cost, "met" if holds(late) else "missed")  # fmt: skip
-    publish(console, [table], options)
-    return verdict(console, held, several=True)
+        counts = (str(count) for count in (late.feet, late.refused, late.strides))
+        times = spread(late.t1), found[0], spread(late.t4), found[1]
+        rows.append([landing, pace, *counts, *times, *cost, "met" if holds(late) else "missed"])
+    columns = (
+        "landing", "pace", "feet", "refused", "strides", "T1 ms", "found %", "T4 ms", "found %",
+        "flat foot stimulated, median, 95 % ms", "landing left, median, 95 % ms", "bars",
+    )  # fmt: skip
+    console = console_of(150)
+    publish(console, [table_of("", columns, rows)], options)
+    return verdict(console, held)
 
 
 if __name__ == "__main__":

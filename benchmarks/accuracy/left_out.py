@@ -1,56 +1,44 @@
-"""The phases' figures with the judged walker left out of whatever chose the constants.
+"""The phases' figures with the judged walker left out of whatever chose the constants; exit code 3 without data.
 
-    python benchmarks/accuracy/left_out.py [--only SET …] [--constants NAME …] [--jobs N] [--data FOLDER] [--json FILE]
-        [--raw FILE]
-
-Constants of guards and calibration that were chosen by data (``CHOICES``) are chosen again for each walker, by all the
-other walkers of all sets together: the value with the least ``cost``, one constant at a time about the program's own
-values. The walker is then judged once with the values so chosen. Beside it stands the same figure with the program's
-own values, which is a description: they were chosen with the walker looked at.
-
-A walker's cost is the median error of T4, that of T1 where it is true to millimetres (bundled trials, gaitmap), and
-``ORDER_MS`` for each percent of strides out of order; errors are of the size, early or late. Swings, strides and labels
-are those of ``every_walker.py`` and ``swing_judge.py``, the marks those of ``severe_feet.py``; shanks, whose levels are
-their own, and the foot that is dragged by stick and slip, whose instants are not solved, are not part of it.
+Constants of the guards that were chosen by data are chosen again for each walker, by all the other walkers of all sets
+together: the value with the least ``cost``, one constant at a time about the program's own values. The walker is then
+judged once with the values so chosen; beside it stands the figure with the program's own values, chosen with the walker
+looked at. A walker's cost is the median error of T4, that of T1 where it is true to millimetres (bundled trials,
+gaitmap), and ``ORDER_MS`` for each percent of strides out of order. Swings, strides and labels are those of
+``every_walker.py``, the marks those of ``severe_feet.py``; shanks, whose levels are their own, and the foot that is
+dragged by stick and slip are not part of it.
 """
 
 from __future__ import annotations
 
 import os
-import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.every_walker import (
+from benchmarks.accuracy.every_walker import Found, against_labels, against_markers
+from benchmarks.accuracy.severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import NAMES, TRIALS, data_folder
+from benchmarks.lib.swing_judge import pairs, score
+from benchmarks.lib.walkers import (
     DRIFTING,
     LYING,
     SETS,
     SHORT_FLAT,
     Foot,
-    Found,
-    against_labels,
-    against_markers,
     calibrate,
     causal,
     feet_of,
+    of_all,
     swings_of,
 )
-from benchmarks.accuracy.severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish, save
-from benchmarks.lib.event_cases import NAMES, TRIALS
-from benchmarks.lib.swing_judge import pairs, score
 from fes.cohort.sweep.grid import Point
 from fes.cohort.sweep.task import with_thresholds
-from fes.estimation.foot import calibration as foot_calibration
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.recording import read_recording
 from fes.simulation.truth import load_truth
@@ -75,15 +63,7 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "settled_share": (0.35, 0.45, 0.55),
     "longest_loadings": (1.5, 2.0, 3.0),
 }
-CALIBRATION: dict[str, tuple[float, ...]] = {
-    "FALL_SHARE": (0.35, 0.45, 0.55),
-    "TROUGH_SHARE": (0.2, 0.3, 0.4),
-    "TYPICAL_SHARE": (0.25, 1.0 / 3.0, 0.4),
-}
-CHOICES = GUARDS | CALIBRATION
-OWN = {name: getattr(Thresholds(), name) for name in GUARDS} | {
-    name: getattr(foot_calibration, name) for name in CALIBRATION
-}
+OWN = {name: float(getattr(Thresholds(), name)) for name in GUARDS}
 ORDER_MS = 10.0  # of error, that count as one stride of a hundred out of order
 LONGEST_MS = 500.0  # a phase change further from the truth belongs to another stride
 TIMED = (Transition.T1, Transition.T3, Transition.T4)
@@ -91,17 +71,17 @@ Values = tuple[tuple[str, float], ...]
 Walker = tuple[str, str]  # set and person
 
 
-@dataclass(frozen=True)
+@dataclass
 class Judged:
     """One foot by one set of values, or several together; ``late_ms`` by instant, where a truth is."""
 
-    strides: int
-    in_order: int
-    swings: int
-    false_swings: int
-    flat_ms: list[float]
-    left_ms: list[float]
-    late_ms: dict[str, list[float]]
+    strides: int = 0
+    in_order: int = 0
+    swings: int = 0
+    false_swings: int = 0
+    flat_ms: list[float] = field(default_factory=list)
+    left_ms: list[float] = field(default_factory=list)
+    late_ms: dict[str, list[float]] = field(default_factory=dict)
 
     def off_ms(self, instant: str) -> float:
         """Size of the median error; NaN where there is no truth."""
@@ -116,13 +96,13 @@ class Judged:
 
 def together(judged: Iterable[Judged]) -> Judged:
     """A walker's feet as one."""
-    feet = list(judged)
-    late = {each.name: [ms for foot in feet for ms in foot.late_ms.get(each.name, [])] for each in TIMED}
-    return Judged(
-        sum(foot.strides for foot in feet), sum(foot.in_order for foot in feet),
-        sum(foot.swings for foot in feet), sum(foot.false_swings for foot in feet),
-        [ms for foot in feet for ms in foot.flat_ms], [ms for foot in feet for ms in foot.left_ms], late,
-    )  # fmt: skip
+    whole = Judged()
+    for foot in judged:
+        for name in ("strides", "in_order", "swings", "false_swings", "flat_ms", "left_ms"):
+            setattr(whole, name, getattr(whole, name) + getattr(foot, name))
+        for instant, late in foot.late_ms.items():
+            whole.late_ms[instant] = whole.late_ms.get(instant, []) + late
+    return whole
 
 
 def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
@@ -131,7 +111,7 @@ def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
         for name in NAMES:
             for track in read_recording(TRIALS / f"{name}.parquet").tracks.values():
                 yield Foot("bundled", "simulated", name, name, track)
-    marked = [foot for foot in severe_feet(data) if (foot.run, side_of(foot)) != DRAGGED]
+    marked = [foot for foot in severe_feet(data) if (foot.run, foot.side) != DRAGGED]
     if "severe_feet" in wanted:
         yield from (replace(foot, data_set="severe_feet") for foot in marked)
     own = {(foot.run, foot.track.sensor) for foot in marked}
@@ -141,57 +121,40 @@ def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
             yield foot
 
 
-def side_of(foot: Foot) -> str:
-    return foot.track.sensor.split("_")[0]
-
-
 def judge(values: list[Values], foot: Foot) -> list[Judged]:
     """One foot by some values each."""
-    swings = swings_of(foot)
-    made: dict[Any, FootCalibration | None] = {}
-    return [_judge(foot, swings, dict(each), made) for each in values]
-
-
-def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, FootCalibration | None]) -> Judged:
-    key = tuple(values[name] for name in CALIBRATION)
-    if key not in made:
-        kept = {name: getattr(foot_calibration, name) for name in CALIBRATION}
-        for name in CALIBRATION:
-            setattr(foot_calibration, name, values[name])
-        try:
-            own = calibrate(foot.track)
-            made[key] = own if isinstance(own, FootCalibration) else None
-        except CalibrationError:
-            made[key] = None
-        for name, value in kept.items():
-            setattr(foot_calibration, name, value)
+    swings, sensor = swings_of(foot), foot.track.sensor
     strides = [pair for pair in pairs(swings) if foot.labels is None or foot.labels.judged(*pair)]
-    calibration = made[key]
-    if calibration is None:
-        return Judged(len(strides), 0, len(swings.whole()), 0, [], [], {})
-    sensor = foot.track.sensor
-    point = Point(tuple((f"thresholds.{name}", values[name]) for name in GUARDS))
-    changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
-    counts = score(swings, changes, solved)
-    found = Found(foot.data_set, foot.part, foot.person, foot.run, sensor)
-    found.in_order, found.false_swings = counts.in_order, counts.false_swings
-    if foot.labels is not None:
-        against_labels(found, foot.labels, swings, changes)
-        found.later_ms.pop("T1", None)  # switches see a heel rise late, each its own
-        if foot.person in SHORT_FLAT:
-            found.later_ms.pop("T4", None)
-    elif foot.ic_s is not None:
-        against_markers(found, foot, changes)
-    elif foot.data_set == "severe_feet":
-        marks = [marks_of(rater)[foot.run, side_of(foot)] for rater in RATERS]
-        for each in TIMED[1:]:
-            found.later_ms[each.name] = [ms for one in marks for ms in errors_ms(one, changes, each)[1]]
-    elif foot.data_set == "bundled":
-        found.later_ms = against_truth(foot, changes)
-    if foot.person in SHORT_FLAT:
-        found.loading_left_ms = []
-    counted = len(strides), found.in_order, len(swings.whole()), found.false_swings
-    return Judged(*counted, found.flat_ms, found.loading_left_ms, found.later_ms)
+    try:
+        calibration = calibrate(foot.track)
+    except CalibrationError:
+        return [Judged(len(strides), 0, len(swings.whole()))] * len(values)
+    assert isinstance(calibration, FootCalibration)
+    judged = []
+    for each in values:
+        point = Point(tuple((f"thresholds.{name}", value) for name, value in each))
+        changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
+        counts = score(swings, changes, solved)
+        found = Found(foot.data_set, foot.part, foot.person, foot.run, sensor)
+        found.in_order, found.false_swings = counts.in_order, counts.false_swings
+        if foot.labels is not None:
+            against_labels(found, foot.labels, swings, changes)
+            found.later_ms.pop("T1", None)  # switches see a heel rise late, each its own
+            found.later_ms.pop("T2", None)
+            if foot.person in SHORT_FLAT:
+                found.later_ms.pop("T4", None)
+                found.loading_left_ms = []
+        elif foot.ic_s is not None:
+            against_markers(found, foot, changes)
+        elif foot.data_set == "severe_feet":
+            marks = [marks_of(rater)[foot.run, foot.side] for rater in RATERS]
+            for instant in TIMED[1:]:
+                found.later_ms[instant.name] = [ms for one in marks for ms in errors_ms(one, changes, instant)[1]]
+        elif foot.data_set == "bundled":
+            found.later_ms = against_truth(foot, changes)
+        counted = len(strides), found.in_order, len(swings.whole()), found.false_swings
+        judged.append(Judged(*counted, found.flat_ms, found.loading_left_ms, found.later_ms))
+    return judged
 
 
 def against_truth(foot: Foot, changes: Sequence[PhaseChange]) -> dict[str, list[float]]:
@@ -205,18 +168,12 @@ def against_truth(foot: Foot, changes: Sequence[PhaseChange]) -> dict[str, list[
     return late
 
 
-def walked(feet: list[Foot], values: list[Values], jobs: int) -> list[list[Judged]]:
-    """All feet by all values: [foot][values]."""
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(partial(judge, values), feet, chunksize=1))
-
-
 def chosen(costs: dict[Values, dict[Walker, float]], constants: Sequence[str], out: Walker) -> Values:
     """For each constant the value that costs the other walkers least, in the mean; ties go to the program's own."""
     best = dict(OWN)
     for name in constants:
         mean = {}
-        for value in CHOICES[name]:
+        for value in GUARDS[name]:
             each = costs[_values(OWN | {name: value})]
             mean[value] = float(np.mean([cost for walker, cost in each.items() if walker != out]))
         if min(mean.values()) < mean[OWN[name]] - 1e-9:
@@ -229,32 +186,28 @@ def _values(values: dict[str, float]) -> Values:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 3 without data."""
     parser = parser_of(__doc__, data_folder())
     sets = ["bundled", "severe_feet", *(name for name in SETS if name != "shanks")]
     parser.add_argument("--only", nargs="+", choices=sets, default=sets, help="these sets alone")
-    parser.add_argument("--constants", nargs="+", choices=CHOICES, default=list(CHOICES), help="choose these alone")
+    parser.add_argument("--constants", nargs="+", choices=GUARDS, default=list(GUARDS), help="choose these alone")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
-    parser.add_argument("--raw", type=Path, help="every foot by either choice, as JSON")
     options = parser.parse_args(arguments)
     feet = list(all_feet(options.data, options.only))
     if all(foot.data_set == "bundled" for foot in feet):
-        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(options.data)
     walkers: dict[Walker, list[int]] = defaultdict(list)
     for at, foot in enumerate(feet):
         walkers[foot.data_set, foot.person].append(at)
     own = _values(OWN)
-    singles = [own, *(_values(OWN | {n: v}) for n in options.constants for v in CHOICES[n] if v != OWN[n])]
-    judged = walked(feet, singles, options.jobs)
+    singles = [own, *(_values(OWN | {n: v}) for n in options.constants for v in GUARDS[n] if v != OWN[n])]
+    judged = of_all(partial(judge, singles), feet, options.jobs)
     costs = {
         values: {walker: together(judged[k][at] for k in its).cost for walker, its in walkers.items()}
         for at, values in enumerate(singles)
     }
     folds = {walker: chosen(costs, options.constants, walker) for walker in walkers}
     combined = sorted({*folds.values(), own})
-    final = walked(feet, combined, options.jobs)
-    rows = []
+    final = of_all(partial(judge, combined), feet, options.jobs)
     groups: dict[str, list[tuple[list[Judged], list[Judged]]]] = defaultdict(list)
     for walker, its in walkers.items():
         out, inside = ([final[k][combined.index(values)] for k in its] for values in (folds[walker], own))
@@ -262,34 +215,27 @@ def main(arguments: list[str] | None = None) -> int:
         if walker[0] == "footswitch_treadmill":
             part = "healthy" if walker[1].startswith("H") else "hemiparetic"
         groups[f"{walker[0]}, {part}"].append((out, inside))
-        rows += [
-            {"set": feet[k].data_set, "part": feet[k].part, "person": feet[k].person, "run": feet[k].run,
-             "sensor": feet[k].track.sensor, "left_out": vars(a), "own": vars(b)}
-            for k, a, b in zip(its, out, inside, strict=True)
-        ]  # fmt: skip
     groups["all"] = [pair for group in groups.values() for pair in group]
-    table = Table(
-        "set", "walkers, feet", "strides", "", "in order %", "worst foot", "false /100", "flat foot stimulated ms",
-        "loading left ms", "most flat of a walker ms",
-        *(f"{each.name} ms" for each in TIMED), "cost ms",
-        title="T1, T3, T4: size of a walker's median error, mean of walkers",
-    )  # fmt: skip
+    rows = []
     for name, group in groups.items():
         size = f"{len(group)}, {sum(len(out) for out, _ in group)}"
-        strides = sum(foot.strides for out, _ in group for foot in out)
-        table.add_row(name, size, str(strides), "left out", *_cells([out for out, _ in group]))
-        table.add_row("", "", "", "in sample", *_cells([inside for _, inside in group]), end_section=True)
+        strides = str(sum(foot.strides for out, _ in group for foot in out))
+        rows.append([name, size, strides, "left out", *_cells([out for out, _ in group])])
+        rows.append(["", "", "", "in sample", *_cells([inside for _, inside in group])])
+    columns = (
+        "set", "walkers, feet", "strides", "", "in order %", "worst foot", "false /100", "flat foot stimulated ms",
+        "loading left ms", "most flat of a walker ms", *(f"{each.name} ms" for each in TIMED), "cost ms",
+    )  # fmt: skip
     choices = []
-    console = console_of(170)
     for name in options.constants:
         counts = Counter(dict(values)[name] for values in folds.values())
-        tried = [(v, list(costs[_values(OWN | {name: v})].values())) for v in CHOICES[name]]
+        tried = [(v, list(costs[_values(OWN | {name: v})].values())) for v in GUARDS[name]]
         choices.append(
             f"{name}: own {OWN[name]:g}; chosen " + ", ".join(f"{v:g} ({n})" for v, n in counts.most_common())
             + "; cost of all walkers " + ", ".join(f"{v:g}: {np.mean(cost):.1f}" for v, cost in tried)
         )  # fmt: skip
-    publish(console, [table], options, choices)
-    save(rows, options.raw)
+    title = "T1, T3, T4: size of a walker's median error, mean of walkers"
+    publish(console_of(170), [table_of(title, columns, rows)], options, choices)
     return 0
 
 

@@ -1,34 +1,24 @@
 """The off-line instants of T1 to T4, beside the live machine's: against truth, markers and footswitches.
 
-    python benchmarks/accuracy/offline_phases.py [--data FOLDER] [--json FILE]
-
 First of each bundled trial (its truth) and of the gaitmap walk (markers; the heel is up and the foot is flat by the
-truth's 5 mm and 2°, from the middle of the stance): how much later than the truth ``t_…_s`` and ``t_…_live_s`` of
-``fes analyse`` are, median [5–95 %] in ms.
-
-Then foot flat and heel rise against footswitches (``footswitch_treadmill``), per walker: how much later than the label,
-median ± SD in ms, of labelled strides that the labels can judge; with the sizes in use
-(``fes/estimation/events/offline.py``), and with those that bring the other walkers' medians nearest to their labels.
-Where the switches lie under a foot differs between walkers by more than the rules do.
+truth's 5 mm and 2°): how much later than the truth ``t_…_s`` and ``t_…_live_s`` of ``fes analyse`` are. Then foot flat
+and heel rise against footswitches, per walker: with the sizes in use, and with those that bring the other walkers'
+medians nearest to their labels. Where the switches lie under a foot differs between walkers by more than the rules do.
 """
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.bundled_trials import TRIALS
-from benchmarks.accuracy.every_walker import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
-from benchmarks.lib.real_sets import PathWalk, marker_strides
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import NAMES, TRIALS, PathWalk, data_folder, marker_strides
 from benchmarks.lib.swing_judge import pairs
+from benchmarks.lib.walkers import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
 from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stance_instants
@@ -40,7 +30,6 @@ from statemachine.phases import Transition
 
 FLAT_DEG, RISE_DEG = (2.0, 3.0, 5.0, 8.0), (1.0, 2.0, 3.0, 5.0)
 FAR_S = 0.4
-NAMES = ("negard_patient1", "negard_patient2", "both_feet_100hz", "both_feet_200hz", "misaligned", "soft_contact")
 ENTRIES = ("t_pre_swing", "t_swing", "t_loading_response", "t_stance")
 Later = dict[str, dict[tuple[str, float], list[float]]]  # by person, then rule and size: ms
 
@@ -128,22 +117,17 @@ def left_out(later: Later, person: str, rule: str, sizes: Iterable[float]) -> fl
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 3 without data."""
     parser = parser_of(__doc__, data_folder())
     options = parser.parse_args(arguments)
     titles = [f"{transition} {kind}" for transition in ("T1", "T2", "T3", "T4") for kind in ("off-line", "live")]
-    against = truth_table(options.data)
-    table = Table("trial", *titles, title="later than the truth, ms, median [5–95 %]")
-    for trial, cells in against.items():
-        table.add_row(trial, *cells)
-    tables = [table]
+    rows = [[trial, *cells] for trial, cells in truth_table(options.data).items()]
+    tables = [table_of("later than the truth, ms, median [5–95 %]", ("trial", *titles), rows)]
     later = measured(options.data)
     if not later:
-        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
+        return no_recordings(options.data)
     rules = (("foot flat", FLAT_DEG, FLAT_RAD, "T4"), ("heel rise", RISE_DEG, RISE_RAD, "T1"))
     columns = [word for rule, _, _, live in rules for word in (f"{rule} ms", "left out ms", f"live {live} ms")]
-    table = Table("walker", *columns, title="later than the label, median ± SD")
+    rows = []
     for person, own in sorted(later.items()):
         cells = []
         for rule, sizes, in_use, live in rules:
@@ -151,8 +135,9 @@ def main(arguments: list[str] | None = None) -> int:
             for key in ((rule, round(float(np.degrees(in_use)), 6)), (rule, other_deg), (live, 0.0)):
                 cells.append(f"{np.median(own[key]):+.0f} ± {np.std(own[key]):.0f}" if own[key] else "–")
             cells[-2] += f" ({other_deg:.0f}°)"
-        table.add_row(person, *cells)
-    publish(console_of(190), [*tables, table], options)
+        rows.append([person, *cells])
+    tables.append(table_of("later than the label, median ± SD", ("walker", *columns), rows))
+    publish(console_of(190), tables, options)
     return 0
 
 

@@ -1,146 +1,153 @@
-"""Inclination of a board moved by hand and pitch of a walking foot: our orientation filter and others; bars.
+"""The orientation filter: its error, and where it is hardest or knows more: a clipped gyroscope, its own confidence, a
+known stance; 3 without data.
 
-    python benchmarks/accuracy/orientation.py [--data FOLDER] [--json FILE] [--choice]
-
-One default setting for all. "rmse" is over the samples in movement, root mean square per trial, then the mean over
-trials and the worst. "timed" is the same after each method's own best constant shift in time against the reference:
-what is left when the delay of sensor and reference, which no filter can know, is out of the way. ``--choice`` checks
-the setting itself: its constants chosen again on every set but one, judged on that one. Others are compared where they
-are installed. Without recordings this says so and exits with 3; 1: a bar is missed.
+BROAD: inclination of a board moved by hand against cameras. gaitmap_walk: pitch of both shoes against markers. Clipped:
+the fast board's rates cut at 1000 °/s, with the range told to the filter and without. Confidence: the filter's own
+standard deviation of the inclination about one axis, beside the error about one axis. Stance: rest told by the
+zero-velocity detector. Other filters run among the peers of ``accuracy_table.py``.
 """
 
 from __future__ import annotations
 
-import itertools
-import sys
-from collections.abc import Iterator
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.orientation_methods import METHODS, Method
-from benchmarks.accuracy.orientation_sets import Trial, broad, gaitmap_pitch, later, stroke_stance, upward
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
-from fes.estimation.orientation.body import track_orientation
-from fes.estimation.orientation.filter import BodySettings
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish
+from benchmarks.lib.real_sets import MARKERS_HZ, BoolArray, data_folder, gaitmap_markers, gaitmap_walk
+from fes.datasets.broad import OldHdf5
+from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
+from fes.estimation.zupt.thresholds import find_zero_velocity
+from fes.signals import FloatArray
 
-BAR_DEG = 0.7  # causal and off-line, mean over BROAD's trials
-SHIFTS_S = np.arange(0.0, 0.0081, 0.0005)
-MOST_COLUMNS = 4  # of single trials; more would not fit
-FACTORS = (0.5, 1.0, 2.0)
-CHOSEN = ("rate_scale_noise", "movement_s", "energy_s")
+Score = Callable[[FloatArray], float]  # of upward directions in the sensor frame (N, 3): RMSE in degrees
 
 
 @dataclass(frozen=True)
-class OrientationRow:
-    """One method on one data set, in degrees; NaN where the method is not installed."""
+class Trial:
+    """One sensor of one recording; ``score`` judges upward directions in the sensor frame (N, 3)."""
 
     data_set: str
-    method: str
-    causal: bool
-    installed: bool
-    trials: dict[str, float]
-    mean_deg: float
-    worst_deg: float
-    timed_deg: float
+    name: str
+    rate_hz: float
+    acc_mps2: FloatArray
+    gyr_radps: FloatArray
+    score: Score
 
 
-def evaluate(method: Method, data_set: str, trials: list[Trial]) -> OrientationRow:
-    """Run one method on the trials of a set."""
-    if not method.installed:
-        nan = float("nan")
-        return OrientationRow(data_set, method.name, method.causal, False, {}, nan, nan, nan)
-    scores, timed = {}, []
-    for trial in trials:
-        up = upward(method.run(trial.acc_mps2, trial.gyr_radps, trial.rate_hz))
-        scores[trial.name] = trial.score(up)
-        timed.append([trial.score(later(up, shift * trial.rate_hz)) for shift in SHIFTS_S])
-    best = float(np.min(np.mean(timed, axis=0)))
-    values = list(scores.values())
-    return OrientationRow(
-        data_set, method.name, method.causal, True, scores, float(np.mean(values)), float(max(values)), best
-    )
+def upward(quaternion: FloatArray) -> FloatArray:
+    """The world's z axis in the sensor frame (N, 3): all that an orientation (N, 4) says besides heading."""
+    w, x, y, z = quaternion.T
+    return np.column_stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
 
 
-def orientation_rows(folder: Path | None = None, methods: tuple[Method, ...] = METHODS) -> list[OrientationRow]:
-    """Every method on every set that is there; empty where none is."""
-    folder = folder or data_folder()
-    sets = {"broad": broad(folder), "gaitmap_walk": gaitmap_pitch(folder), "stroke_treadmill": stroke_stance(folder)}
-    return [evaluate(method, name, trials) for name, trials in sets.items() if trials for method in methods]
+def inclination_error_deg(up: FloatArray, true_up: FloatArray) -> FloatArray:
+    """Angle (N,) between two upward directions (N, 3): the heading-free part of an orientation's error."""
+    cross = np.linalg.norm(np.cross(up, true_up), axis=1)
+    return np.asarray(np.degrees(np.arctan2(cross, np.einsum("ij,ij->i", up, true_up))))
 
 
-def choice(folder: Path) -> list[tuple[str, dict[str, float], float, float]]:
-    """Each recording left out in turn: what the others would choose, its error with that and with the default.
+def rms(values: FloatArray) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
-    The others choose by the mean logarithm of their errors, so that none outweighs the rest.
+
+def broad(folder: Path) -> list[Trial]:
+    """A board moved by hand, 285.7 Hz; judged where the set's own mask says "movement" and the cameras saw it."""
+    trials = []
+    for path in sorted((folder / "broad").glob("*.hdf5")):
+        file = OldHdf5(path)
+        arrays, rate_hz = file.arrays(), file.attributes()["sampling_rate"]
+        truth = np.asarray(arrays["opt_quat"], dtype=np.float64)
+        judged = arrays["movement"].astype(bool) & np.isfinite(truth).all(axis=1)
+        acc, gyr = (np.ascontiguousarray(arrays[name], dtype=np.float64) for name in ("imu_acc", "imu_gyr"))
+        trials.append(Trial("broad", path.stem, rate_hz, acc, gyr, _against(upward(truth), judged)))
+    return trials
+
+
+def _against(true_up: FloatArray, judged: BoolArray) -> Score:
+    return lambda up: rms(inclination_error_deg(up, true_up)[judged])
+
+
+def gaitmap_pitch(folder: Path) -> list[Trial]:
+    """Both shoes of a walk, 204.8 Hz: elevation of the line from the heel's marker to that of the fifth metatarsal.
+
+    Where that line lies in the sensor's frame nobody measured; the score takes the direction that suits the method
+    best (three numbers for 20 s at 100 Hz), so a constant tilt goes unpunished, the same for all methods.
     """
-    groups: dict[str, list[Trial]] = {trial.name: [trial] for trial in broad(folder)}
-    groups["gaitmap_walk"] = gaitmap_pitch(folder)
-    default = BodySettings()._asdict()
-    results = {}
-    for factors in itertools.product(FACTORS, repeat=len(CHOSEN)):
-        changed = {name: default[name] * factor for name, factor in zip(CHOSEN, factors, strict=True)}
-        settings = BodySettings(**{**default, **changed})
-        results[factors] = {
-            name: float(np.mean([_causal_score(trial, settings) for trial in trials]))
-            for name, trials in groups.items()
-        }
-    out = []
-    for left_out in groups:
-        best = min(results, key=lambda f: sum(np.log(v) for name, v in results[f].items() if name != left_out))
-        values = {name: default[name] * factor for name, factor in zip(CHOSEN, best, strict=True)}
-        unchanged = results[(1.0,) * len(CHOSEN)][left_out]
-        out.append((left_out, values, results[best][left_out], unchanged))
-    return out
+    trials = []
+    for walk in gaitmap_walk(folder):
+        heel, fifth = gaitmap_markers(folder, walk.name, "FCC", "FM5")
+        sine = (fifth - heel)[:, 2] / np.linalg.norm(fifth - heel, axis=1)
+        track, t_s = walk.track, 1e-9 * walk.track.t_ns
+        sine = np.interp(t_s, np.arange(len(sine)) / MARKERS_HZ, sine, right=np.nan)
+        own = (walk.track.acc_mps2, walk.track.gyr_radps)
+        trials.append(Trial("gaitmap_walk", f"{walk.name} foot", track.rate_hz, *own, _elevation(sine)))
+    return trials
 
 
-def _causal_score(trial: Trial, settings: BodySettings) -> float:
-    path = track_orientation(trial.acc_mps2, trial.gyr_radps, trial.rate_hz, settings=settings)
+def _elevation(sine: FloatArray) -> Score:
+    seen = np.isfinite(sine)
+
+    def score(up: FloatArray) -> float:
+        direction = np.linalg.lstsq(up[seen], sine[seen], rcond=None)[0]
+        direction /= np.linalg.norm(direction)
+        found = np.arcsin(np.clip(up[seen] @ direction, -1.0, 1.0))
+        return rms(np.degrees(found - np.arcsin(sine[seen])))
+
+    return score
+
+
+RANGE_DPS = 1000.0
+FILTERS: dict[str, Callable[..., OrientationPath]] = {"causal": track_orientation, "off-line": smooth_orientation}
+
+
+def clipped_deg(trial: Trial, follow: Callable[..., OrientationPath], *, told: bool) -> float:
+    """RMSE behind a gyroscope of 1000 °/s."""
+    limit = math.radians(RANGE_DPS)
+    rates = np.clip(trial.gyr_radps, -limit, limit)
+    path = follow(trial.acc_mps2, rates, trial.rate_hz, gyr_range_radps=limit if told else None)
     return trial.score(upward(path.quaternion))
 
 
-def tables_of(rows: list[OrientationRow]) -> Iterator[Table]:
-    """One table per set."""
-    for data_set in dict.fromkeys(row.data_set for row in rows):
-        part = [row for row in rows if row.data_set == data_set]
-        names = next((list(row.trials) for row in part if row.installed), [])
-        names = names if len(names) <= MOST_COLUMNS else []
-        table = Table(title=f"{data_set}: RMSE in degrees", title_justify="left")
-        for column in ("method", "causal", "mean", "worst", "timed", *names):
-            table.add_column(column, justify="left" if column == "method" else "right")
-        for row in part:
-            values = [row.mean_deg, row.worst_deg, row.timed_deg, *(row.trials.get(name, np.nan) for name in names)]
-            cells = [f"{value:.2f}" for value in values] if row.installed else ["not installed"]
-            table.add_row(row.method, "yes" if row.causal else "no", *cells)
-        yield table
-
-
 def main() -> int:
-    """Print the tables; 0 if the bars hold, 1 if one is missed, 3 without recordings."""
-    parser = parser_of(__doc__, data_folder())
-    parser.add_argument("--choice", action="store_true", help="choose the constants again, each recording left out")
-    arguments = parser.parse_args()
-    folder = arguments.data
-    console = console_of(150)
-    rows = orientation_rows(folder)
-    if not rows:
-        console.print(f"no broad, gaitmap_walk or stroke_treadmill in {folder}: set FES_DATA or give --data")
-        return 3
-    lines = []
-    if arguments.choice:
-        for name, values, chosen, default in choice(folder):
-            text = ", ".join(f"{key} {value:g}" for key, value in values.items())
-            lines.append(f"left out {name}: {text} → {chosen:.3f}°, default {default:.3f}°")
-    publish(console, list(tables_of(rows)), arguments, lines)
-    ours = [row for row in rows if row.data_set == "broad" and row.method.startswith("ours")]
-    missed = [row for row in ours if not row.mean_deg <= BAR_DEG]
-    for row in missed:
-        console.print(f"[red]{row.method}: {row.mean_deg:.2f}° on broad, the bar is {BAR_DEG}°[/red]")
-    return 1 if missed else 0
+    options = parser_of(__doc__, data_folder()).parse_args()
+    folder, lines = options.data, []
+    trials, feet = broad(folder), gaitmap_pitch(folder)
+    if not trials or not feet:
+        return no_recordings(folder)
+    for name, follow in FILTERS.items():
+        for each in (trials, feet):
+            errors = [t.score(upward(follow(t.acc_mps2, t.gyr_radps, t.rate_hz).quaternion)) for t in each]
+            what = ", ".join(f"{t.name} {error:.2f}°" for t, error in zip(each, errors, strict=True))
+            lines.append(f"{each[0].data_set}, {name}: {np.mean(errors):.2f}° ({what})")
+    fast = trials[0]
+    share = np.mean((np.abs(fast.gyr_radps) >= math.radians(RANGE_DPS)).any(axis=1))
+    for name, follow in FILTERS.items():
+        lines.append(
+            f"{fast.name}, gyroscope clipped at {RANGE_DPS:g} °/s in {100 * share:.1f} % of the samples, {name}: "
+            f"{clipped_deg(fast, follow, told=True):.2f}° with the range known, "
+            f"{clipped_deg(fast, follow, told=False):.2f}° without"
+        )
+    for trial in trials:
+        path = track_orientation(trial.acc_mps2, trial.gyr_radps, trial.rate_hz)
+        sd = math.degrees(float(np.sqrt(np.mean(path.tilt_sd_rad**2))))
+        error = trial.score(upward(path.quaternion)) / math.sqrt(2.0)
+        lines.append(f"{trial.name}, causal: own SD {sd:.2f}°, error about one axis {error:.2f}°")
+    for name, follow in FILTERS.items():
+        errors = {}
+        for foot in feet:
+            _, still, _ = find_zero_velocity(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
+            path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, zero_velocity=still)
+            errors[foot.name] = foot.score(upward(path.quaternion))
+        each = ", ".join(f"{foot} {error:.2f}°" for foot, error in errors.items())
+        lines.append(f"shoe, stance known, {name}: {np.mean(list(errors.values())):.2f}° ({each})")
+    publish(console_of(150), [], options, lines)
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

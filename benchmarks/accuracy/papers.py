@@ -1,27 +1,22 @@
 """The tables of the four papers, their published values beside ours: docs/paper_tables.md.
 
-    python benchmarks/accuracy/papers.py --simulated [--json FILE]    Negård et al., on the bundled trials
-    python benchmarks/accuracy/papers.py [--json FILE]                the other three
-
-Negård et al.: the bundled trials imitate their two patients (simulated: the same set-up, not the same people), held
-against the bundled 25 Hz ultrasonic reference in the lab's frame by Eq. (21) and (22), as `fes evaluate` does. Kumar et
-al. print no figures: IC and FO against markers. Wu et al.: shanks of stroke survivors on a belt; the error of the
-distance is that of the mean speed in the last 120 s. Wang et al.: the same for the feet, with their parameters. The
-real recordings lie in $FES_DATA, else in ../shared/data; without them their tables are left out and the exit code is 3.
+Negård et al. (``--simulated``): the bundled trials imitate their two patients (simulated: the same set-up, not the same
+people), held against the bundled 25 Hz ultrasonic reference, as `fes evaluate` does. Without that option: Kumar et al.
+print no figures: IC and FO against markers. Wu et al.: shanks of stroke survivors on a belt; the error of the distance
+is that of the mean speed in the last 120 s. Wang et al.: the same for the feet, with their parameters.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.ankle import evaluate as shanks_of
-from benchmarks.accuracy.stroke_treadmill import LAST_S, data_folder
-from benchmarks.lib.command_line import parser_of
+from benchmarks.accuracy.shank_phases import evaluate as shanks_of
+from benchmarks.lib.command_line import no_recordings, parser_of
 from benchmarks.lib.figures import Figures, Result, digest
+from benchmarks.lib.real_sets import LAST_S, TRIALS, data_folder
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
@@ -33,7 +28,6 @@ from fes.evaluation.reference.table import Reference, ReferenceEvent
 from fes.recording import Recording, read_recording
 from fes.simulation.truth import Truth, load_truth
 
-TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
 Cells = list[list[str]]
 PHASES = ("pre_swing", "swing", "loading_response", "stance")
 WANG = {
@@ -205,7 +199,6 @@ def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 3 without the recordings that they take."""
     parser = parser_of(__doc__)
     parser.add_argument("--simulated", action="store_true", help="those of the bundled trials")
     given = parser.parse_args(arguments)
@@ -221,8 +214,7 @@ def main(arguments: list[str] | None = None) -> int:
             "stroke_treadmill": digest(runs(folder)),
         }
     else:
-        print(f"No gaitmap_walk and stroke_treadmill in {folder}; set FES_DATA.", file=sys.stderr)
-        return 3
+        return no_recordings(folder)
     result = Result(command, tables, data)
     print(result.markdown())
     if given.json is not None:

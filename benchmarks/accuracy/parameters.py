@@ -1,37 +1,27 @@
-"""Gait parameters against the truth of virtual and bundled walks: the table, and an exit code for the bars.
-
-    python benchmarks/accuracy/parameters.py [--fast] [--seed N] [--json FILE]
+"""Gait parameters against the truth of virtual and bundled walks: least to greatest of the feet's mean errors; bars.
 
 Walks: Wang et al.'s five hemiparetic patterns (100 Hz, afflicted right, the ones looked at while the rules of
 fes/analysis/parameters/contacts.py and equalise_sides.py were made), again with other seeds, 200 Hz and the left side
-afflicted, and the bundled walks of both feet. Figures are the mean of estimate − truth of a foot, ± SD over its
-strides. The bars are for the means: stride length 2 %, swing and stance time 20 ms, clearance of the sensor 0.5 cm, MLR
-3°. ``--fast`` walks the first five, shorter; ``--seed`` adds to all seeds, for walks that nobody has looked at.
-
-Only strides whose own span lies where the belt is known to run at full speed count: no sensor on a foot can tell the
-way of a foot that stands on a belt which speeds up.
-
-What counts from a stride's start (heights, rotations, sideways ways) is compared between its own ends, as in the
-recordings of real feet (real_sets.py): where in mid-stance a stride begins is free, and a foot that rolls over a soft
-sole rises by a millimetre and turns by 3° meanwhile. Lengths, times, PV and OV are those of the truth's own strides.
-
-The truth of toe clearance is the definition of fes/estimation/clearance/clearance.py on the true path of the point of
-the sole that [geometry] names. The virtual foot bends at its ball, so its own number ("model") is another.
+afflicted, and the bundled walks of both feet; with ``--seed`` walks that nobody has looked at. Only strides whose own
+span lies where the belt is known to run at full speed count: no sensor on a foot can tell the way of a foot that stands
+on a belt which speeds up. What counts from a stride's start (heights, rotations, sideways ways) is compared between its
+own ends: where in mid-stance a stride begins is free. Lengths, times, PV and OV are those of the truth's own strides.
+The truth of toe clearance is on the true path of the point of the sole that [geometry] names; the virtual foot bends at
+its ball, so its own number ("model") is another.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from benchmarks.lib.command_line import console_of, parser_of, save, verdict
-from benchmarks.lib.event_cases import data_folder, gaitmap_cases
+from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.real_sets import TRIALS, data_folder, gaitmap_cases
 from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.motion import motions, pitches, variations
@@ -44,7 +34,6 @@ from fes.simulation.forward import VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.truth import FootTruth, Truth, TruthStride, load_truth
 
-TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
 BUNDLED = ("both_feet_100hz", "both_feet_200hz", "misaligned")
 NEAR_S = 0.25
 BARS = {
@@ -235,48 +224,41 @@ def _spread(values: list[float]) -> tuple[float, float]:
     return float(kept.mean()), float(kept.std(ddof=1))
 
 
-COLUMNS = {
-    "stride_length_percent": ("length %", 2), "swing_ms": ("swing ms", 0), "stance_ms": ("stance ms", 0),
-    "clearance_cm": ("clearance cm", 2), "mlr_deg": ("MLR °", 1), "toe_cm": ("MTC cm", 2),
-    "toe_model_cm": ("MTC model cm", 2), "mdd_cm": ("MDD cm", 2), "circumduction_cm": ("circumd. cm", 2),
-    "angle_ic_deg": ("IC °", 1), "angle_fo_deg": ("FO °", 1), "pv_cm": ("PV cm", 2), "ov_deg": ("OV °", 1),
-    "step_length_cm": ("step cm", 1), "double_support_ms": ("dbl. supp. ms", 0),
+NAMED = {
+    "stride_length_percent": ("stride length, %", 1), "swing_ms": ("swing time, ms", 0),
+    "stance_ms": ("stance time, ms", 0), "clearance_cm": ("sensor's clearance (MLH), cm", 2), "mlr_deg": ("MLR, °", 1),
+    "toe_cm": ("MTC of the named point, cm", 1), "toe_model_cm": ("MTC, model, cm", 1), "mdd_cm": ("MDD, cm", 1),
+    "circumduction_cm": ("circumduction, cm", 1), "angle_ic_deg": ("foot angle at IC, °", 1),
+    "angle_fo_deg": ("foot angle at FO, °", 1), "pv_cm": ("PV, cm", 1), "ov_deg": ("OV, °", 1),
+    "double_support_ms": ("double support, ms", 0), "step_length_cm": ("step length, cm", 0),
 }  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 0 when all bars hold, 1 when not."""
     parser = parser_of(__doc__)
-    parser.add_argument("--fast", action="store_true", help="the five patterns once, for half a minute each")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all virtual walks")
     options = parser.parse_args(arguments)
-    results = [errors for case in cases(fast=options.fast, seed=options.seed) for errors in compare(case)[0]]
+    groups: dict[str, list[Errors]] = {}
+    for case in cases(seed=options.seed):
+        name = next((f"patterns, {hz} Hz" for hz in (100, 200) if f"{hz} Hz" in case.name), "bundled")
+        groups.setdefault(name, []).extend(compare(case)[0])
+    rows = []
+    for key, (name, digits) in NAMED.items():
+        means = [np.array([errors.of[key][0] for errors in feet if key in errors.of]) for feet in groups.values()]
+        known = [values[np.isfinite(values)] for values in means]
+        spans = [f"{v.min():+.{digits}f} … {v.max():+.{digits}f}" if len(v) else "–" for v in known]
+        rows.append([name, f"{BARS[key]:g}" if key in BARS else "", *spans])
+    heads = [f"{name} ({len(feet)} feet)" for name, feet in groups.items()]
+    missed = [(e.case, e.foot, key) for feet in groups.values() for e in feet for key in e.missed()]
+    notes = [f"misses its bar: {case}, {foot}: {key}" for case, foot, key in missed]
+    if (data_folder() / "gaitmap_walk").is_dir():
+        notes += [
+            f"gaitmap_walk against markers, {what} by {by}: {mean:+.1f} ± {sd:.1f} ms, {n} contacts"
+            for what, by, mean, sd, n in markers(data_folder())
+        ]
     console = console_of(170)
-    names = list(COLUMNS)
-    for part in (names[:7], names[7:]):
-        table = Table("walk", "foot", "strides", *(COLUMNS[key][0] for key in part))
-        for e in results:
-            cells = [_cell(e.of.get(key, (math.nan, math.nan)), COLUMNS[key][1], key in e.missed()) for key in part]
-            foot = e.foot.removesuffix("_foot") + (" *" if e.afflicted else "")
-            table.add_row(e.case, foot, f"{e.n} of {e.true}", *cells)
-        console.print(table)
-    console.print("estimate − truth, mean ± SD over strides; * afflicted; ! misses its bar")
-    if (data_folder() / "gaitmap_walk").is_dir() and not options.fast:
-        table = Table("gaitmap_walk, markers", "by", "ms", "contacts")
-        for what, by, mean, sd, n in markers(data_folder()):
-            table.add_row(what, by, f"{mean:+.1f} ± {sd:.1f}", str(n))
-        console.print(table)
-    save([asdict(e) for e in results], options.json)
-    missed = sum(len(e.missed()) for e in results)
-    if missed:
-        console.print(f"Missed: {missed}")
-    return verdict(console, not missed, several=True)
-
-
-def _cell(value: tuple[float, float], digits: int, missed: bool) -> str:
-    if math.isnan(value[0]):
-        return "–"
-    return f"{value[0]:+.{digits}f} ± {value[1]:.{digits}f}" + (" !" if missed else "")
+    publish(console, [table_of("", ("quantity", "bar", *heads), rows)], options, notes)
+    return verdict(console, not missed)
 
 
 if __name__ == "__main__":

@@ -1,30 +1,24 @@
 """The foot's roll at initial contact against what is true: virtual patients live, and a walk with optical markers.
 
-    python benchmarks/accuracy/roll.py [--data FOLDER] [--patients N] [--seed N] [--json FILE]
-
-Virtual: patients drawn by number, each calibrated on half a minute without stimulation, then walked live for a minute
-(the controller's own strides): without stimulation, with one channel on tibialis anterior (30 mA, 300 µs; it inverts
-the foot), and with it while the sensor sits turned by 15, −10 and 40° (roll, pitch, yaw) beyond where it was drawn.
-Figures are estimate − truth in degrees over the strides of all patients, and the means of single patients. The bars are
-for the former: 1.5° for the mean, 2° for the SD.
-
-Markers: gaitmap_walk, lateral shoes, heel, toe and fifth metatarsal; roll is the angle of the markers' mediolateral
-axis against the horizontal since the stride's start, their long axis the line from heel to toe.
+Virtual: patients drawn by number, each calibrated on half a minute without stimulation, then walked live for a minute:
+without stimulation, with one channel on tibialis anterior (it inverts the foot), and with it while the sensor sits
+turned by 15, −10 and 40° (roll, pitch, yaw) beyond where it was drawn. The bars are for the errors of all strides: 1.5°
+for the mean, 2° for the SD. Markers: gaitmap_walk; roll is the angle of the markers' mediolateral axis against the
+horizontal since the stride's start.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.stroke_treadmill import data_folder, track_foot
-from benchmarks.lib.command_line import console_of, parser_of, publish, verdict
-from benchmarks.lib.real_sets import PathWalk, gaitmap_walk
+from benchmarks.lib.command_line import console_of, mean_sd, parser_of, publish, table_of, verdict
+from benchmarks.lib.real_sets import data_folder, gaitmap_walk
+from benchmarks.lib.walkers import outcomes_of
 from benchmarks.loop.closed_loop_walk import calibration_of, walk
 from benchmarks.loop.tuning_cohort import channel_of, session_with
 from fes.calibration.recording import calibrate_track
@@ -40,18 +34,6 @@ CURRENT_MA = 30.0
 TURNED_DEG = (15.0, -10.0, 40.0)
 NEAR_NS = 100_000_000
 BIAS_DEG, SD_DEG = 1.5, 2.0
-
-
-@dataclass(frozen=True)
-class Row:
-    """One condition: mean and SD of all strides' errors, the same of the true angle, and each patient's mean (°)."""
-
-    condition: str
-    strides: int
-    bias_deg: float
-    sd_deg: float
-    true_deg: tuple[float, float]
-    patients_deg: dict[str, float]
 
 
 def turned(settings: PatientSettings) -> PatientSettings:
@@ -80,72 +62,60 @@ def live_errors(settings: PatientSettings, current_ma: float) -> FloatArray:
     return np.array(pairs).reshape(-1, 2)
 
 
-def virtual_rows(seed: int, patients: int) -> Iterator[Row]:
-    """The three conditions."""
+def virtual(seed: int, patients: int) -> Iterator[tuple[str, list[FloatArray]]]:
+    """Each condition with the angles (K, 2) of every patient."""
     for condition, current_ma, askew in (
         ("no stimulation", 0.0, False),
         ("stimulated", CURRENT_MA, False),
         ("stimulated, sensor turned", CURRENT_MA, True),
     ):
-        found = {}
+        found = []
         for number in range(patients):
             settings = draw_patient(seed, number, sensors=(FOOT,))
             try:
-                found[str(number)] = live_errors(turned(settings) if askew else settings, current_ma)
+                found.append(live_errors(turned(settings) if askew else settings, current_ma))
             except CalibrationError as error:
                 print(f"{condition}, patient {number} not calibrated: {error}", flush=True)
-        yield row_of(condition, found)
+        yield condition, found
 
 
-def row_of(condition: str, found: dict[str, FloatArray]) -> Row:
-    """Of (K, 2) angles by who they are of."""
-    every = np.vstack(list(found.values()))
-    errors, true = every[:, 0] - every[:, 1], every[:, 1]
-    means = {name: float(np.mean(own[:, 0] - own[:, 1])) for name, own in found.items() if len(own)}
-    spread = float(true.mean()), float(true.std(ddof=1))
-    return Row(condition, len(every), float(errors.mean()), float(errors.std(ddof=1)), spread, means)
-
-
-def marker_rows(folder: Path) -> Iterator[Row]:
+def marked(folder: Path) -> Iterator[tuple[str, list[FloatArray]]]:
     """At contact, straight strides of the walk with markers; none without it."""
-    found = {}
+    found = []
     for one in gaitmap_walk(folder):
-        if not isinstance(one, PathWalk) or one.frame is None:
-            continue
+        assert one.frame is not None
         inward = 1.0 if one.name == "right" else -1.0
-        marked, at_s = inward * np.arcsin(one.frame[:, 2, 1]), np.arange(len(one.frame)) / one.rate_hz
+        angle, at_s = inward * np.arcsin(one.frame[:, 2, 1]), np.arange(len(one.frame)) / one.rate_hz
         pairs = []
-        for stride in track_foot(one.track, calibrate_track(one.track)):
+        for stride in outcomes_of(one.track, calibrate_track(one.track)):
             if not isinstance(stride, StrideResult) or not stride.valid or not one.comparable(stride):
                 continue
             contact_ns, roll = stride.t_loading_response_ns, roll_at_contact_rad(stride)
             if contact_ns is not None:
-                start, end = np.interp((1e-9 * stride.t_start_ns, 1e-9 * contact_ns), at_s, marked, math.nan, math.nan)
+                start, end = np.interp((1e-9 * stride.t_start_ns, 1e-9 * contact_ns), at_s, angle, math.nan, math.nan)
                 pairs.append((roll, end - start))
         angles = np.degrees(pairs)
-        found[one.name] = angles[np.isfinite(angles).all(axis=1)]
+        found.append(angles[np.isfinite(angles).all(axis=1)])
     if found:
-        yield row_of("gaitmap walk, markers", found)
+        yield "gaitmap walk, markers", found
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 0 when the bars hold on the virtual patients, 1 when not."""
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--patients", type=int, default=PATIENTS)
     parser.add_argument("--seed", type=int, default=SEED)
     options = parser.parse_args(arguments)
-    virtual = list(virtual_rows(options.seed, options.patients))
-    rows = [*virtual, *marker_rows(options.data)]
+    rows, held = [], True
+    for condition, found in (*virtual(options.seed, options.patients), *marked(options.data)):
+        errors, true = (np.vstack(found) @ axes for axes in ((1.0, -1.0), (0.0, 1.0)))
+        means = " ".join(f"{np.mean(own[:, 0] - own[:, 1]):+.1f}" for own in found if len(own))
+        rows.append([condition, str(len(errors)), mean_sd(errors, 2), mean_sd(true, 1), means])
+        held &= "markers" in condition or bool(abs(errors.mean()) <= BIAS_DEG and errors.std(ddof=1) <= SD_DEG)
     console = console_of(130)
-    table = Table("roll", "strides", "error °", "true °", "means of patients or feet, °")
-    for row in rows:
-        means = " ".join(f"{value:+.1f}" for value in row.patients_deg.values())
-        true = f"{row.true_deg[0]:+.1f} ± {row.true_deg[1]:.1f}"
-        table.add_row(row.condition, str(row.strides), f"{row.bias_deg:+.2f} ± {row.sd_deg:.2f}", true, means)
+    table = table_of("", ("roll", "strides", "error °", "true °", "means of patients or feet, °"), rows)
     said = "Estimate − truth at initial contact, inversion positive, mean ± SD over strides."
     publish(console, [table], options, [said])
-    held = all(abs(row.bias_deg) <= BIAS_DEG and row.sd_deg <= SD_DEG for row in virtual)
-    return verdict(console, held, several=True)
+    return verdict(console, held)
 
 
 if __name__ == "__main__":

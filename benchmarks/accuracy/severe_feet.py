@@ -1,32 +1,27 @@
-"""Phases of six severe, slow feet against instants that two raters set by hand, each alone.
-
-    python benchmarks/accuracy/severe_feet.py [--data FOLDER] [--json FILE]
+"""Phases of six severe, slow feet against instants that two raters set by hand, each alone; 3 without recordings.
 
 The marks are ``tests/accuracy/severe_feet`` (its README says how they were set and what they are worth), the recordings
-``stroke_walks`` of the unseen walkers. What is judged is what users get live: calibration from the recording itself,
-phases as they come. A mark's phase change is the nearest of its kind in the swing's cycle, from the middle of the
-stance before to the middle of the stance after; a mark without one is a miss and counts as not within 60 ms. "One
-swing" is the share of marked swings with exactly one T2 in their cycle, whatever else moved the foot there. Beside it
-stands how far the raters are apart (b − a): nothing finer can be judged. S22's right foot, which is dragged by stick
-and slip, is shown apart.
+``stroke_walks`` of the unseen walkers. A mark's phase change is the nearest of its kind in the swing's cycle, from the
+middle of the stance before to the middle of the stance after; a mark without one counts as not within 60 ms. "One
+swing" is the share of marked swings with exactly one T2 in their cycle. Beside it stands how far the raters are apart
+(b − a). S22's right foot, which is dragged by stick and slip, is shown apart.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.every_walker import TIMES, Foot, calibrate, causal, stroke_walks
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.accuracy.every_walker import TIMES
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import Foot, calibrate, causal, stroke_walks
 from fes.estimation.foot.calibration import CalibrationError
 from statemachine.phases import PhaseChange, Transition
 
@@ -55,8 +50,6 @@ class Mark:
 class Agreement:
     """Errors of one instant, ms late; ``marks`` are all that were set, found or not."""
 
-    foot: str
-    against: str
     instant: str
     marks: int
     errors_ms: list[float]
@@ -100,7 +93,7 @@ def paired(first: Sequence[Mark], second: Sequence[Mark]) -> list[tuple[Mark, Ma
     return found
 
 
-def between_raters(feet: Sequence[tuple[str, str]], name: str) -> list[Agreement]:
+def between_raters(feet: Sequence[tuple[str, str]]) -> list[Agreement]:
     """How much later than rater a rater b set each instant; of these feet together."""
     a, b = (marks_of(rater) for rater in RATERS)
     pairs = [pair for foot in feet for pair in paired(a[foot], b[foot])]
@@ -108,7 +101,7 @@ def between_raters(feet: Sequence[tuple[str, str]], name: str) -> list[Agreement
     for k, each in enumerate(TIMES):
         off = [1e3 * (y.times_s[k] - x.times_s[k]) for x, y in pairs]
         off = [round(ms, 6) for ms in off if not math.isnan(ms)]
-        found.append(Agreement(name, "raters", each.name, len(off), off))
+        found.append(Agreement(each.name, len(off), off))
     return found
 
 
@@ -153,26 +146,22 @@ def severe_feet(data: Path) -> list[Foot]:
     """The feet that are marked."""
     marked = marks_of(RATERS[0])
     feet = stroke_walks(data / "unseen_walkers", "unseen")
-    return [foot for foot in feet if (foot.run, foot.track.sensor.split("_")[0]) in marked]
+    return [foot for foot in feet if (foot.run, foot.side) in marked]
 
 
 def judge(foot: Foot, rater: str, changes: Sequence[PhaseChange]) -> Result:
     """One foot against one rater; a refused foot has no changes."""
-    side = foot.track.sensor.split("_")[0]
-    marks, name = marks_of(rater)[foot.run, side], name_of(foot.run, side)
-    instants = [Agreement(name, rater, each.name, *errors_ms(marks, changes, each)) for each in TIMES]
+    marks, name = marks_of(rater)[foot.run, foot.side], name_of(foot.run, foot.side)
+    instants = [Agreement(each.name, *errors_ms(marks, changes, each)) for each in TIMES]
     return Result(name, rater, len(marks), single(marks, changes), instants)
 
 
 def together(results: Sequence[Result], name: str) -> Result:
     """Several feet as one."""
     instants = [
-        Agreement(
-            name, same[0].against, same[0].instant, sum(x.marks for x in same),
-            [ms for x in same for ms in x.errors_ms],
-        )
+        Agreement(same[0].instant, sum(x.marks for x in same), [ms for x in same for ms in x.errors_ms])
         for same in zip(*(result.instants for result in results), strict=True)
-    ]  # fmt: skip
+    ]
     swings, ones = sum(r.swings for r in results), sum(r.one_swing for r in results)
     return Result(name, results[0].rater, swings, ones, instants)
 
@@ -194,26 +183,23 @@ def evaluate(data: Path) -> list[Result]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 3 without data."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
     results = evaluate(options.data)
     if not results:
-        print(f"No stroke_walks in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
-        return 3
-    table = Table(
-        "foot", "against", "swings", "one swing %", *(f"{each.name} ms" for each in TIMES),
-        title=f"later than the mark, median [5 %, 95 %], and share within ±{CLOSE_MS:.0f} ms",
-    )  # fmt: skip
+        return no_recordings(options.data)
+    rows = []
     marked = list(marks_of(RATERS[0]))
     for name in dict.fromkeys(result.foot for result in results):
         own = [result for result in results if result.foot == name]
         for result in own:
             one = f"{100.0 * result.one_swing / result.swings:.0f}"
-            table.add_row(name, f"rater {result.rater}", str(result.swings), one, *(x.text for x in result.instants))
+            rows.append([name, f"rater {result.rater}", str(result.swings), one, *(x.text for x in result.instants)])
         feet = [foot for foot in marked if name_of(*foot) == name] or [foot for foot in marked if foot != DRAGGED]
-        apart = between_raters(feet, name)
-        table.add_row("", "b − a", str(apart[0].marks), "", *(x.text for x in apart), end_section=True)
-    publish(console_of(170), [table], options)
+        apart = between_raters(feet)
+        rows.append(["", "b − a", str(apart[0].marks), "", *(x.text for x in apart)])
+    title = f"later than the mark, median [5 %, 95 %], and share within ±{CLOSE_MS:.0f} ms"
+    columns = ("foot", "against", "swings", "one swing %", *(f"{each.name} ms" for each in TIMES))
+    publish(console_of(170), [table_of(title, columns, rows)], options)
     return 0
 
 

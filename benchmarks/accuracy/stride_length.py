@@ -1,54 +1,38 @@
-"""Stride length and sensor lift on real recordings with truth, each method with its one default setting.
+"""Stride length and sensor lift on real recordings with truth, each method with its one default setting; 3 without.
 
-    python benchmarks/accuracy/stride_length.py [--json FILE]
-
-Strides are found by our own phase machine, causally; each is compared with the reference between its own ends. Where
-the reference is not at the sensor (footprints, heel marker), strides that turn by more than 20° are left out (and
-counted apart, "turning"): the foot swivels on the ground, and what the sensor travels is not what the footprint does.
-"reference borders": the strides of gaitmap's own events instead, each end at the quietest instant within 50 ms of the
-given one. "lift" is the sensor's clearance; "lift, arm fitted" takes the lever arm heel to sensor that fits best over
-all heights of that foot (three numbers a foot) instead of the stated "about" 0.076 m forward and 0.05 m outward.
-"clearance" of PyShoe is through an arm fitted in the same way over all walks: its marker is not at the sensor. "steady
-reference" leaves out strides in which single samples of that reference jump by more than 3 mm.
-
-constrained and maximum_likelihood are known when the stride ends. "fused, off-line" is what `fes analyse` reports: the
-mean of maximum_likelihood and of a filter that looks at the whole recording (fes.analysis.stride_fusion); heights are
-maximum_likelihood's.
-
-"both feet of a run" and "half of left − right" take the belt's errors apart: a belt that runs slower than it says is
-common to both feet of a run, and the two feet of one run go the same way, so half their difference is our own error.
-
-Of the fusion, three sizes of the filter were chosen from a grid of 48 with all sets at hand. Leaving out one set each
-and choosing by the mean ratio to the bars of the others gives on that set: PyShoe 1.37 cm, ruler 1.29, gaitmap 1.55
-(own detection) and 1.52 (reference borders), stroke SD 0.62 %, worst foot 1.9 %. Over the whole grid: 1.32–1.39,
-1.22–1.34, 1.38–1.61, 1.35–1.58 cm, SD 0.56–0.62 %, worst 1.4–1.9 %. With the filter's plain defaults: 1.38, 1.26,
-1.47, 1.45 cm, 0.58 %, 1.6 %. The other sizes of maximum_likelihood were chosen while looking at all sets.
+Each stride of our own phase machine is compared with the reference between its own ends. Where the reference is not at
+the sensor, strides that turn by more than 20° are counted apart ("turning"): the foot swivels on the ground.
+"reference borders": the strides of gaitmap's own events instead, each end at the quietest instant within 50 ms. "lift,
+arm fitted" takes the lever arm heel to sensor that fits best over all heights of that foot (three numbers a foot);
+"clearance" of PyShoe one over all walks. "steady reference": without strides in which single samples of the reference
+jump by more than 3 mm. "fused, off-line" is what `fes analyse` reports. "both feet of a run" and "half of left − right"
+take the belt's errors apart: a belt that runs slower than it says is common to both feet.
 """
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from rich.table import Table
+from scipy.signal import medfilt
 
-from benchmarks.accuracy.given_borders import quietest_near, solve_stride
-from benchmarks.accuracy.lift import arm_fitted, clearance_errors
-from benchmarks.accuracy.stroke_treadmill import LAST_S, data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
-from benchmarks.lib.real_sets import PathWalk, all_walks, gaitmap_walk, stroke_feet
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import LAST_S, PathWalk, all_walks, data_folder, gaitmap_walk, pyshoe_vicon, stroke_feet
 from fes.analysis.stride_fusion import lengths_along, mean_lengths
 from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.estimation.numerics.records import new_core
+from fes.estimation.strides import segmentation
+from fes.estimation.strides.boundaries import QUIET_WINDOW_S, UNSEEN_NS, quietest_of
+from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker, StrideSettings
+from fes.estimation.strides.segmentation import new_out
 from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.recording import Track
-from fes.signals import NS_PER_S, FloatArray, StrideResult
-from statemachine.phases import Transition
+from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from statemachine.phases import Phase, Transition
 
 Method = Literal["constrained", "maximum_likelihood"]
 FUSED = "fused, off-line"  # maximum_likelihood, then with the whole recording
@@ -95,12 +79,6 @@ def strides_of(track: Track, calibration: FootCalibration, method: str) -> list[
     return afterwards(track, strides, method)
 
 
-def border_strides(walk: PathWalk, method: str) -> list[StrideResult]:
-    """The strides between the reference's own borders instead of the tracker's."""
-    borders_s = walk.borders_s if walk.borders_s is not None else np.zeros((0, 2))
-    return strides_between(walk.track, borders_s, method)
-
-
 def strides_between(track: Track, borders_s: FloatArray, method: str) -> list[StrideResult]:
     """The valid strides between given borders (K, 2), s, each moved to the quietest instant near it."""
     calibration = calibrate_track(track)
@@ -127,9 +105,9 @@ def border_errors(method: str) -> dict[str, list[float]]:
     name = "gaitmap_walk, reference borders"
     errors: dict[str, list[float]] = defaultdict(list)
     for walk in gaitmap_walk(data_folder()):
-        if not isinstance(walk, PathWalk):
-            continue
-        strides = [s for s in border_strides(walk, method) if walk.comparable(s) and walk.true_length_m(s) > 0.0]
+        assert walk.borders_s is not None
+        found = strides_between(walk.track, walk.borders_s, method)
+        strides = [s for s in found if walk.comparable(s) and walk.true_length_m(s) > 0.0]
         errors[name] += [s.stride_length_m - walk.true_length_m(s) for s in strides]
         errors[f"{name}, lift"] += [s.clearance_m - walk.true_lift_m(s) for s in strides]
         errors[f"{name}, lift, arm fitted"] += arm_fitted(walk, strides)
@@ -158,49 +136,140 @@ def belt_ratios(method: str) -> list[float]:
     return ratios
 
 
+# --- a stride between borders that are given from elsewhere, solved as the trackers solve their own -------------------
+
+NO_BIASES = np.zeros((2, 3))
+NEAR_S = 0.05  # of a stance's instant given from elsewhere, the quietest is sought this far on either side
+ENTRIES = [f"t_{phase.name.lower()}_ns" for phase in Phase]
+
+
+def solve_stride(
+    foot: str, number: int, times: dict[Phase, int], first: int, last: int, t_ns: IntArray, acc: FloatArray,
+    gyr: FloatArray, start_quaternion: FloatArray, settings: StrideSettings, before_ns: int | None = None,
+) -> StrideResult:  # fmt: skip
+    """Integrate the samples ``first`` … ``last`` of a history into a stride's numbers.
+
+    ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias; ``start_quaternion`` (4,) the orientation at ``first``;
+    ``times`` the entries into the phases; ``before_ns`` where the stride before ended, for the speed.
+    """
+    out = new_out(1, len(t_ns), TRAJECTORY_POINTS)
+    row = out.strides[0]
+    row["number"], row["t_start_ns"], row["t_end_ns"] = number, t_ns[first], t_ns[last]
+    for name, phase in zip(ENTRIES, Phase, strict=True):
+        row[name] = times.get(phase, UNSEEN_NS)
+    out.filled[segmentation.STRIDES] = 1
+    own = new_core(segmentation.STRIDE_STATE, settings=settings.compiled(foot))
+    segmentation.restart(own, 0)
+    own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
+    segmentation.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
+    return StrideMaker(foot, settings).stride_in(out)
+
+
+def quietest_near(t_ns: IntArray, gyr: FloatArray, at_ns: int) -> int:
+    """Index of the quietest instant within ±50 ms of a stance's instant that is known from elsewhere."""
+    reach_ns = int(1e9 * (NEAR_S + 0.5 * QUIET_WINDOW_S))
+    return int(quietest_of(t_ns, gyr, len(t_ns), 0.0, 0.0, 0.0, at_ns - reach_ns, at_ns + reach_ns))
+
+
+# --- how high the sensor rises, where the reference tracks another point of the foot ----------------------------------
+
+
+def fitted(estimates: list[FloatArray], references: list[FloatArray], arms: list[FloatArray]) -> list[float]:
+    """Errors (m) of the greatest height of each stride after the best arm.
+
+    Per stride: heights (K,) of sensor and tracked point above their start, and the change (K, M) of the vertical part
+    of each of the arm's components.
+    """
+    if not estimates:
+        return []
+    rows = [estimate - reference for estimate, reference in zip(estimates, references, strict=True)]
+    arm = np.linalg.lstsq(np.vstack(arms), np.concatenate(rows), rcond=None)[0]
+    return [
+        float(estimate.max() - (reference + rise @ arm).max())
+        for estimate, reference, rise in zip(estimates, references, arms, strict=True)
+    ]
+
+
+def _rows(walk: PathWalk, stride: StrideResult, path: FloatArray) -> FloatArray:
+    first, last = walk.span(stride)
+    return path[first : last + 1]
+
+
+def _heights(stride: StrideResult, count: int) -> FloatArray:
+    at = np.linspace(0.0, 1.0, count)
+    return np.interp(at, np.linspace(0.0, 1.0, len(stride.trajectory_m)), stride.trajectory_m[:, 2])
+
+
+def arm_fitted(walk: PathWalk, strides: list[StrideResult]) -> list[float]:
+    """Errors of the lift (m) with the arm from the tracked point to the sensor fitted to this foot's strides."""
+    if walk.frame is None:
+        return []
+    references = [_rows(walk, s, walk.position_m)[:, 2] for s in strides]
+    vertical = [_rows(walk, s, walk.frame[:, 2, :]) for s in strides]
+    return fitted(
+        [_heights(s, len(z)) for s, z in zip(strides, references, strict=True)],
+        [z - np.median(z[:3]) for z in references],
+        [v - np.median(v[:3], axis=0) for v in vertical],
+    )
+
+
+def glitch_m(height: FloatArray) -> float:
+    """By how much a single sample of a reference (N,) leaves its neighbours: the greatest distance from a median of 5.
+
+    A foot's own movement leaves a millimetre at 200 Hz.
+    """
+    return float(np.abs(height - medfilt(height, 5))[2:-2].max())
+
+
+def clearance_errors(method: str, most_glitch_m: float = float("inf")) -> dict[str, list[float]]:
+    """PyShoe's clearance (m), the marker's arm fitted over all walks in the foot's sagittal plane.
+
+    The orientation is the estimate's pitch; strides with a glitch of the reference, over 8 m/s, are left out, and those
+    where :func:`glitch_m` of its height is more than ``most_glitch_m``.
+    """
+    estimates, references, arms = [], [], []
+    for walk in pyshoe_vicon(data_folder()):
+        for stride in strides_of(walk.track, calibrate_track(walk.track), method):
+            if not np.isfinite(walk.true_length_m(stride)):
+                continue
+            height = _rows(walk, stride, walk.position_m)[:, 2]
+            if glitch_m(height) > most_glitch_m:
+                continue
+            at = np.linspace(0.0, 1.0, len(height))
+            pitch = np.interp(at, np.linspace(0.0, 1.0, len(stride.pitch_rad)), stride.pitch_rad)
+            level = height - np.median(height[:6]) - at * (np.median(height[-6:]) - np.median(height[:6]))
+            estimates.append(_heights(stride, len(height)))
+            references.append(level)
+            arms.append(-np.column_stack((np.sin(pitch), np.cos(pitch) - 1.0)))
+    errors = fitted(estimates, references, arms)
+    return {"pyshoe_vicon, clearance": errors} if errors else {}
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 3 without data."""
     options = parser_of(__doc__).parse_args(arguments)
-    table = Table("data", "method", "n", "bias", "SD", "RMSE", "worst", "unit")
-    figures = []
+    found: list[tuple[str, str, FloatArray, str]] = []
     for method in METHODS:
-        found = length_errors(method) | border_errors(method) | clearance_errors(method, strides_of)
-        steady = clearance_errors(method, strides_of, STEADY_M)
-        found |= {f"{name}, steady reference": values for name, values in steady.items()}
-        for name, values in found.items():
-            figures.append(_figures(name, method, 100.0 * np.array(values), "cm"))
+        errors = length_errors(method) | border_errors(method) | clearance_errors(method)
+        errors |= {f"{name}, steady reference": own for name, own in clearance_errors(method, STEADY_M).items()}
+        found += [(name, method, 100.0 * np.array(values), "cm") for name, values in errors.items()]
         ratios = np.array(belt_ratios(method))
         if len(ratios):
             runs = ratios.reshape(-1, 2)  # left and right
-            for name, off in (
-                ("per foot", ratios - 1.0),
-                ("both feet of a run", runs.mean(axis=1) - 1.0),
-                ("half of left − right", 0.5 * (runs[:, 0] - runs[:, 1])),
-            ):
-                figures.append(_figures(f"stroke_treadmill, {name}", method, 100.0 * off, "% of belt"))
-    if not figures:
-        print(f"No recordings in {data_folder()}; set FES_DATA.", file=sys.stderr)
-        return 3
-    for row in sorted(figures, key=lambda f: str(f["data"])):
-        numbers = [
-            f"{row[key]:+.2f}" if key == "bias" else f"{row[key]:.2f}" for key in ("bias", "SD", "RMSE", "worst")
-        ]
-        table.add_row(str(row["data"]), str(row["method"]), str(row["n"]), *numbers, str(row["unit"]))
+            parts = {
+                "per foot": ratios - 1.0,
+                "both feet of a run": runs.mean(axis=1) - 1.0,
+                "half of left − right": 0.5 * (runs[:, 0] - runs[:, 1]),
+            }
+            found += [(f"stroke_treadmill, {name}", method, 100.0 * e, "% of belt") for name, e in parts.items()]
+    if not found:
+        return no_recordings(data_folder())
+    rows = [
+        [name, method, str(len(e)), f"{e.mean():+.2f}", f"{e.std(ddof=1):.2f}", f"{np.sqrt((e**2).mean()):.2f}",
+         f"{np.abs(e).max():.2f}", unit] for name, method, e, unit in sorted(found, key=lambda row: row[0])
+    ]  # fmt: skip
+    table = table_of("", ("data", "method", "n", "bias", "SD", "RMSE", "worst", "unit"), rows)
     publish(console_of(120), [table], options, folder=data_folder())
     return 0
-
-
-def _figures(name: str, method: str, errors: np.ndarray, unit: str) -> dict[str, str | float | int]:
-    return {
-        "data": name,
-        "method": method,
-        "n": len(errors),
-        "bias": float(errors.mean()),
-        "SD": float(errors.std(ddof=1)),
-        "RMSE": float(np.sqrt((errors**2).mean())),
-        "worst": float(np.abs(errors).max()),
-        "unit": unit,
-    }
 
 
 if __name__ == "__main__":

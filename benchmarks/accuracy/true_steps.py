@@ -1,20 +1,16 @@
 """Every step of a walk, true contact and foot off, for ``first_last_turn.py``.
 
 Nothing of the phase machine, of calibration or of the stride solver is used, and no constant of theirs. A step is a
-foot's travel between two rests. Its foot off is where the speed of the part that leaves last rises through ``LEAVES``
-of that step's greatest, its contact where the part that lands first falls through ``LANDS`` of it: shares of the step's
-own speed, so that a short step is judged as a long one.
-
-Markers (gaitmap_walk) give that speed directly. On walks on the floor it is the sensor's own: dead-reckoned
-between the rests around the step and free of drift, because the foot stands at both ends; foot off is its first
-fast tilt before full speed, contact the first great jolt once it is slow.
+foot's travel between two rests. Its foot off is where the speed of the part that leaves last rises
+through ``LEAVES`` of that step's greatest, its contact where the part that lands first falls through ``LANDS`` of it:
+shares of the step's own speed, so that a short step is judged as a long one. Markers (gaitmap_walk) give that speed
+directly. On the floor it is the sensor's own, dead-reckoned between the rests around the step, for the foot stands at
+both ends; foot off is its first fast tilt before full speed, contact the first great jolt once it is slow.
 """
 
 from __future__ import annotations
 
 import enum
-import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,12 +19,10 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.every_walker import before_the_jump, stamped
-from benchmarks.lib.event_cases import _two_row_table
+from benchmarks.lib.real_sets import MARKERS_HZ, gaitmap_markers
 from fes.recording import Track
 from fes.signals import G_MPS2, FloatArray
 
-MARKERS_HZ = 100.0
 MOVES_MPS, NEARBY_S = 0.25, 0.06  # markers: a foot whose heel and toe are slower has come to rest, but for short lulls
 TRAVEL_M, TURNED_DEG = 0.06, 20.0  # a step goes so far, or turns so far; a turning step turns so far
 LEAVES, LANDS = 0.30, 0.30
@@ -104,15 +98,10 @@ def crossings(leaving: FloatArray, landing: list[FloatArray], first: int) -> tup
 
 def marker_steps(folder: Path, side: str) -> list[Step]:
     """All steps of one foot of gaitmap_walk."""
-    table = _two_row_table(folder / "gaitmap_walk" / "mocap_sample.csv")
-    heel, toe = (
-        np.column_stack([table[f"{side[0].upper()}_{name}", axis] for axis in "xyz"]) * 1e-3 for name in ("FCC", "TOE")
-    )
-    # one rule, so that a gap of a marker is bridged
-    for marker in (heel, toe):
-        for axis in marker.T:
-            gap = np.isnan(axis)
-            axis[gap] = np.interp(np.flatnonzero(gap), np.flatnonzero(~gap), axis[~gap])
+    heel, toe = gaitmap_markers(folder, side, "FCC", "TOE")
+    for axis in (*heel.T, *toe.T):  # a gap of a marker is bridged
+        gap = np.isnan(axis)
+        axis[gap] = np.interp(np.flatnonzero(gap), np.flatnonzero(~gap), axis[~gap])
     speeds = [np.linalg.norm(np.gradient(marker, axis=0), axis=1) * MARKERS_HZ for marker in (heel, toe)]
     heading = np.unwrap(np.arctan2(*(toe - heel)[:, 1::-1].T))
     found = []
@@ -209,15 +198,3 @@ def dead_reckoned(acc: FloatArray, gyr: FloatArray, dt_s: float) -> tuple[FloatA
     velocity = np.concatenate((np.zeros((1, 3)), np.cumsum(0.5 * (free[1:] + free[:-1]), axis=0) * dt_s))
     velocity -= np.linspace(0.0, 1.0, len(velocity))[:, None] * velocity[-1]
     return velocity, free, np.hypot(rate[:, 0], rate[:, 1]), float(np.degrees(rate[:, 2].sum() * dt_s))
-
-
-def floor_walks(folder: Path) -> Iterator[tuple[str, Track]]:
-    """Group and track of every foot of stroke_walks."""
-    for path in sorted((folder / "unseen_walkers" / "stroke_walks").glob("*.npz")):
-        data = np.load(path)
-        meta = json.loads(str(data["meta"]))
-        ranges = 9.80665 * meta["acc_range_g"], float(np.radians(meta["gyr_range_degps"]))
-        for side in ("left", "right"):
-            acc, gyr = (data[f"{side}_{kind}"] for kind in ("acc", "gyr"))
-            track = stamped(f"{side}_foot", meta["rate_hz"], data[f"{side}_t_s"], acc, gyr, *ranges)
-            yield f"{path.stem} {meta['group']}", before_the_jump(track)

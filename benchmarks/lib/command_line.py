@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.figures import Figures, Result, digest
+from benchmarks.lib.figures import NO_RECORDINGS, Figures, Result, digest
 
 # Options that change where or how fast, not what is measured.
 ASIDE = ("--json", "--raw", "--data", "--jobs", "--peers")
@@ -71,7 +72,7 @@ def _command(typed: Sequence[str]) -> str:
             next(words, None)
         elif not word.startswith(tuple(f"{name}=" for name in ASIDE)):
             kept.append(word)
-    return " ".join(["python", "/".join(("benchmarks", *Path(typed[0]).resolve().parts[-2:])), *kept])
+    return shlex.join(["python", "/".join(("benchmarks", *Path(typed[0]).resolve().parts[-2:])), *kept])
 
 
 def spread(values: Sequence[float]) -> str:
@@ -82,16 +83,34 @@ def spread(values: Sequence[float]) -> str:
     return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
 
 
+def table_of(title: str, columns: Iterable[str], rows: Iterable[Sequence[str]]) -> Table:
+    """A table of rows of text."""
+    table = Table(*columns, title=title or None)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def mean_sd(values: Sequence[float], digits: int, unit: float = 1.0) -> str:
+    """Mean ± SD of those that are known, in so many digits; a dash where there are not two."""
+    known = unit * np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    return f"{known.mean():+.{digits}f} ± {known.std(ddof=1):.{digits}f}" if len(known) > 1 else "–"
+
+
+def no_recordings(folder: Path) -> int:
+    """Say that there is nothing to measure on; the exit code."""
+    print(f"No recordings in {folder}; set FES_DATA or give --data.", file=sys.stderr)
+    return NO_RECORDINGS
+
+
 def save(results: Any, path: Path | None) -> None:
     """As JSON, where a path was given."""
     if path is not None:
         path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
-def verdict(console: Console, held: bool, *, several: bool = False) -> int:
-    """Say whether the bar holds, or the bars; the exit code."""
-    if held:
-        console.print("The bars hold." if several else "The bar holds.")
-    else:
-        console.print("[red]The bars do not hold.[/]" if several else "[red]The bar does not hold.[/]")
+def verdict(console: Console, held: bool) -> int:
+    """Say whether the bars hold; the exit code."""
+    console.print("The bars hold." if held else "[red]The bars do not hold.[/]")
     return 0 if held else 1

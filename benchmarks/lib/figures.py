@@ -19,6 +19,7 @@ import importlib
 import json
 import platform
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -237,50 +238,17 @@ def check(quick: dict[str, Sequence[str]], results: Path = RESULTS) -> int:
     return int(bool(wrong))
 
 
-QUICK: dict[str, Sequence[str]] = {
-    "papers-simulated": ("accuracy/papers.py", "--simulated"),
-    "dead-sensor": ("safety/dead_sensor.py",),
-}
-SEVEN = "turn_rad lifts_after shortest_swing_share slowed_share rest_share flat_rad settled_share"
-LONG: dict[str, Sequence[str]] = {
-    "papers": ("accuracy/papers.py",),
-    "harm": ("loop/virtual_harm.py",),
-    "disorder": ("safety/disorder.py",),
-    "exchanged-feet": ("safety/exchanged_feet.py",),
-    "every-walker": ("accuracy/every_walker.py",),
-    "left-out": ("accuracy/left_out.py", "--constants", *SEVEN.split()),
-    "landings": ("accuracy/landings.py",),
-    "calibration": ("accuracy/calibration.py",),
-    "first-last-turn": ("accuracy/first_last_turn.py",),
-    "offline-phases": ("accuracy/offline_phases.py",),
-    "severe-feet": ("accuracy/severe_feet.py",),
-    "predicted-onset": ("loop/predicted_onset.py",),
-    "by-radio": ("loop/by_radio.py",),
-    "bundled-trials": ("accuracy/bundled_trials.py",),
-    "stroke-treadmill": ("accuracy/stroke_treadmill.py",),
-    "stride-length": ("accuracy/stride_length.py",),
-    "clearance": ("accuracy/clearance.py",),
-    "inclines": ("accuracy/inclines.py",),
-    "events": ("accuracy/events.py",),
-    "roll": ("accuracy/roll.py",),
-    "zero-velocity": ("accuracy/zero_velocity.py",),
-    "ankle": ("accuracy/ankle.py",),
-    "shank-phases": ("accuracy/shank_phases.py",),
-    "orientation-limits": ("accuracy/orientation_limits.py",),
-    "witness": ("safety/witness.py",),
-    "live-lies": ("safety/live_lies.py", "--feet", "19"),
-    "witness-sound": ("safety/witness.py", "--lies", "--seconds", "1000"),
-    "speed-live-road": ("speed/live_latency.py",),
-    **{
-        f"speed-{part}": ("speed/speed_table.py", "--only", part)
-        for part in ("road", "analysis", "live", "peers", "growth", "session", "cohort")
-    },
-}
+QUICK = ("papers-simulated", "dead-sensor")
 ELSEWHERE = {"hil": "make hil"}  # hours, by a command of its own
 
 
+def arguments_of(name: str) -> list[str]:
+    """The script below ``benchmarks/`` that made a kept result, and its options."""
+    words = shlex.split(Result.read(RESULTS / f"{name}.json").command)
+    return [words[1].removeprefix("benchmarks/"), *words[2:]]
+
+
 def main() -> int:
-    """Render; or measure again first."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="measure the quick ones again and compare")
     parser.add_argument("--all", action="store_true", help="measure all again and keep them")
@@ -288,10 +256,10 @@ def main() -> int:
     if given.check:
         late = [page.name for page, _ in stale()]
         print("".join(f"docs/{name} is out of date: make figures\n" for name in late), end="")
-        return max(check(QUICK), int(bool(late)))
+        return max(check({name: arguments_of(name) for name in QUICK}), int(bool(late)))
     worst = 0
-    for name, arguments in (QUICK | LONG if given.all else {}).items():
-        worst = max(worst, measured(name, arguments, RESULTS / f"{name}.json"))
+    for name in sorted(named() - set(ELSEWHERE)) if given.all else ():
+        worst = max(worst, measured(name, arguments_of(name), RESULTS / f"{name}.json"))
     for page, text in stale():
         page.write_text(text, encoding="utf-8")
         print(f"docs/{page.name}")

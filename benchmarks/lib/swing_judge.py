@@ -13,13 +13,21 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.signal import butter, filtfilt, find_peaks
 
 from fes.analysis.swings import Swings
-from fes.signals import IntArray, StrideResult
+from fes.signals import FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
 
 STOPPED = 2.5  # usual strides: a longer one holds a stop
 IN_ORDER = (Transition.T3, Transition.T4, Transition.T1, Transition.T2)
+
+
+def mid_swings(toe_up_radps: FloatArray, rate_hz: float) -> IntArray:
+    """Indices of mid-swing: peaks of the 6 Hz low-passed toe-up rate over half of its 97th percentile."""
+    smooth = filtfilt(*butter(2, 6.0 / (0.5 * rate_hz)), toe_up_radps)
+    peaks, _ = find_peaks(smooth, height=0.5 * np.percentile(smooth, 97), distance=int(0.5 * rate_hz))
+    return np.asarray(peaks, dtype=np.int64)
 
 
 def pairs(swings: Swings) -> list[tuple[int, int]]:

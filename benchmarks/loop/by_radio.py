@@ -1,24 +1,11 @@
 """Stimulation timed by sensors on a radio, against the same walks on a cable.
 
-    python benchmarks/loop/by_radio.py [--data FOLDER] [--json FILE]
-
 Real feet walk at 100 Hz through a simulated Capture2Go (its clock 20 ppm fast), a radio with moments of a connection,
 the driver, the stream, controller and gate, on a clock of the simulation; the cable's samples are there when they are
-measured. Whoever is switched off by a fault arms again at once. Onsets are *detected*, as a session has it by default,
-or *predicted*, each against its own kind by cable. Of each radio:
-
-- *onset*: how much later than the same stride's by cable a burst begins at the stimulator, ms, median [5–95 %], and
-  *within 40*: % of the cable's bursts that have one within ±40 ms; a burst that is missing is not within. Counted from
-  the radio's first on, for by radio no burst begins before three strides tell when it will have to fall;
-- *lost*, *extra*: of 100 of the cable's bursts those without a counterpart, and the other way round;
-- *in stance*: ms of current while the foot is in stance (by cable, less its last 150 ms, in which a burst may begin
-  early), per burst: median, 95 %, most;
-- *cut*: of 100 bursts those that fell, by prediction, before contact (by cable);
-- *behind*, *off*: how often an hour a burst was refused or ended because the data were over the budget, and how often
-  it was switched off until somebody armed again;
-- *over*: commands beyond any limit of ``fes.limits.RADIO``.
-
-Below: the radio goes silent for good in the middle of bursts; how long current goes on, and how long it does in stance.
+measured. Whoever is switched off by a fault arms again at once. Onsets are *detected* or *predicted*, each against its
+own kind by cable; docs/imus.md says what the columns are. Counted from the radio's first burst on, for by radio none
+begins before three strides tell when it will have to fall. *In stance* is current while the foot is in stance (by
+cable, less its last 150 ms, in which a burst may begin early). Last the radio goes silent for good in mid-burst.
 """
 
 from __future__ import annotations
@@ -32,11 +19,11 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import calibrate
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, verdict
+from benchmarks.lib.channels import channel
+from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import calibrate
 from benchmarks.loop.predicted_onset import Walked, walks
-from benchmarks.safety.coarse_check import LIMITS
 from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_port import Capture2GoRadio
 from drivers.imu.port import ImuLost
@@ -156,18 +143,13 @@ def by_cable(sensor: str, signal: ImuSignal) -> Iterator[Event]:
 def session_of(sensor: str, device: str, onset: str = "detected", packed: bool = False) -> Session:
     """One channel on tibialis anterior."""
     most = limits.RADIO
-    own = LIMITS | {"max_charge_per_minute_mc": most.max_charge_per_minute_mc, "max_on_s": most.max_on_s}
-    channel = {
-        "name": "x", "number": 0, "foot": sensor, "electrode_area_cm2": 25.0, "current_ma": 20.0, "onset": onset,
-        "pulse_width_us": 300.0, "frequency_hz": 40.0, "limits": own,
-    }  # fmt: skip
+    limited = {"max_charge_per_minute_mc": most.max_charge_per_minute_mc, "max_on_s": most.max_on_s}
     worn = {"sensor": sensor, "device": device, "port": "IMU_1234ab", "rate_hz": RATE_HZ, "acc_range_g": 16.0}
     worn |= {"gyr_range_dps": 2000.0, "options": {"packed": True} if packed else {}}
     stimulation: dict[str, object] = {"validity_ms": most.max_validity_ms}
     stimulation |= {"max_data_age_ms": most.max_data_age_ms} if device == "capture2go_ble" else {}
-    return Session.model_validate(
-        {"name": "radio", "stimulation": stimulation, "channels": [channel], "sensors": [worn]}
-    )
+    own = [channel(sensor, limited, onset=onset)]
+    return Session.model_validate({"name": "radio", "stimulation": stimulation, "channels": own, "sensors": [worn]})
 
 
 @dataclass
@@ -379,7 +361,6 @@ def chosen(data: Path) -> Iterator[Walked]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 1 if a bar does not hold."""
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
     arms = [(setting, "detected") for setting in SETTINGS]
     arms += [(setting, "predicted") for setting in SETTINGS if setting.name in PREDICTED]
@@ -402,36 +383,22 @@ def main(arguments: list[str] | None = None) -> int:
         silent += silences(calibration, sensor, signal, cables["detected"])
         bar = figures[BAR, "detected"]
         print(walk.group, walk.person, sensor, bar.bursts, f"{bar.within:.1f}", file=sys.stderr, flush=True)
-    columns = (
-        "radio",
-        "onset by",
-        "bursts",
-        "onset",
-        "within 40",
-        "lost",
-        "extra",
-        "in stance",
-        "cut",
-        "behind",
-        "off",
-        "over",
-    )
-    table = Table(*columns, title="Against the cable, ms")
+    rows = []
     for (name, onset), f in figures.items():
-        per = 100.0 / max(f.bursts, 1)
-        stance = "–"
+        per, stance = 100.0 / max(f.bursts, 1), "–"
         if f.stance_ms:
             middle, most = np.percentile(f.stance_ms, (50, 95))
             stance = f"{middle:.0f}, {most:.0f}, {max(f.stance_ms):.0f}"
-        cells = [name, onset, str(f.bursts), spread(f.late_ms), f"{f.within:.1f} %", f"{per * f.lost:.1f}"]
-        cells += [
-            f"{per * f.extra:.1f}",
-            stance,
-            f"{per * f.cut:.1f}",
-            f"{f.behind / f.hours:.0f}",
-            f"{f.off / f.hours:.1f}",
-        ]
-        table.add_row(*cells, str(f.over))
+        rows.append([
+            name, onset, str(f.bursts), spread(f.late_ms), f"{f.within:.1f} %", f"{per * f.lost:.1f}",
+            f"{per * f.extra:.1f}", stance, f"{per * f.cut:.1f}", f"{f.behind / f.hours:.0f}", f"{f.off / f.hours:.1f}",
+            str(f.over),
+        ])  # fmt: skip
+    columns = (
+        "radio", "onset by", "bursts", "onset", "within 40", "lost", "extra", "in stance", "cut", "behind", "off",
+        "over",
+    )  # fmt: skip
+    table = table_of("Against the cable, ms", columns, rows)
     on_ms, wrong_ms = (np.array(silent).reshape(-1, 2) / MS).T
     gone = Table("silences", "current goes on", "most", "in stance, most", title="The radio goes silent in a burst, ms")
     gone.add_row(str(len(on_ms)), spread(on_ms.tolist()), f"{on_ms.max():.0f}", f"{wrong_ms.max():.0f}")
@@ -443,7 +410,7 @@ def main(arguments: list[str] | None = None) -> int:
     console = console_of(200)
     publish(console, [table, gone], options, [said])
     held = bar.within >= SOONEST and on_ms.max() <= most_ms and not any(f.over for f in figures.values())
-    return verdict(console, held, several=True)
+    return verdict(console, held)
 
 
 if __name__ == "__main__":

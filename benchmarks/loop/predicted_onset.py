@@ -1,24 +1,10 @@
 """Bursts that begin when the heel is expected to rise, against those that begin when it is seen to.
 
-    python benchmarks/loop/predicted_onset.py [--only SET …] [--data FOLDER] [--json FILE]
-
 Every foot goes twice through controller and gate, as in a session that is armed again at once after a fault: with
-``onset = "detected"`` and ``"predicted"``. Of each set:
-
-- *used*: of the strides in which a burst began, those in which it began before T1, as foreseen;
-- *before T1*: of those, by how much, ms, median [5–95 %]; *off*: how much later than came the heel was expected;
-- *false*: of 100 bursts begun early, those after which T1 did not come for 150 ms; *extra*: bursts of the predicted
-  session without a counterpart in the detected one (the heel rises, but the stride before, which is known only then,
-  permits none: a turn on the spot; the burst is off at once); *lost*: the other way round;
-- *late*: of all strides, how much later than the truth the burst began, detected and predicted: truth of the bundled
-  trials and gaitmap's markers (the heel is 5 mm up), labels of footswitches;
-- *longer*: by how much a burst that began early lasted longer than the same stride's detected one, ms, median [5–95 %]
-  (foot flat ends both alike); *charge*: how much more of it, %, of all these strides; *cut*: of 100 of them, those
-  whose current had fallen by T3, so as to last no longer than the last ten.
-
-``LEAD_NS`` is chosen by data: the longest with which one start in a thousand is false at most, a tenth of the bar. At
-last that choice is made for each person by all others, and the person's own false starts with it are counted; beside it
-every lead.
+``onset = "detected"`` and ``"predicted"``. docs/phases.md says what the columns are. A false start is a burst begun
+early after which T1 does not come for 150 ms; *extra* are bursts of the predicted session without a counterpart in the
+detected one. ``LEAD_NS`` is chosen by data: the longest with which one start in a thousand is false at most; at last
+that choice is made for each person by all others.
 """
 
 from __future__ import annotations
@@ -30,13 +16,11 @@ from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.accuracy.every_walker import DRIFTING, LYING, calibrate, feet_of
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, verdict
-from benchmarks.lib.real_sets import PathWalk, marker_strides
-from benchmarks.safety.coarse_check import LIMITS
+from benchmarks.lib.channels import channel
+from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.real_sets import NAMES, TRIALS, PathWalk, data_folder, marker_strides
+from benchmarks.lib.walkers import DRIFTING, LYING, calibrate, feet_of
 from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.control.controller import Controller, towards_heel_rise
@@ -51,11 +35,7 @@ from fes.stimulation import onset
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import PhaseChange, Transition
 
-TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
-BUNDLED = (
-    "negard_patient1", "negard_patient2", "both_feet_100hz", "both_feet_200hz", "misaligned", "soft_contact",
-    "not_walking",
-)  # fmt: skip
+BUNDLED = (*NAMES, "not_walking")
 SETS = ("gaitmap_walk", "footswitch_treadmill", "stroke_treadmill", "stroke_walks", "ruler_walks")
 LEADS_MS = (20, 30, 40, 50, 60, 80)
 MOST_FALSE = 0.01
@@ -138,11 +118,8 @@ class Bursts:
 
 def session(foot: str, how: str) -> Session:
     """One channel on tibialis anterior."""
-    channel = {
-        "name": "x", "number": 0, "foot": foot, "electrode_area_cm2": 25.0, "current_ma": 20.0, "onset": how,
-        "pulse_width_us": 300.0, "frequency_hz": 40.0, "limits": LIMITS | {"max_charge_per_minute_mc": 100.0},
-    }  # fmt: skip
-    return Session.model_validate({"name": "onset", "channels": [channel]})
+    own = channel(foot, {"max_charge_per_minute_mc": 100.0}, onset=how)
+    return Session.model_validate({"name": "onset", "channels": [own]})
 
 
 def stimulated(track: Track, calibration: Calibration, how: str) -> Bursts:
@@ -213,9 +190,8 @@ def judge(walk: Walked, calibration: Calibration, figures: Figures) -> None:
             figures.cut += there is not None and there[1] < at_contact.get(there[0], 0.0) - 0.5
     for late, spans in ((figures.detected_late, detected.spans), (figures.predicted_late, predicted.spans)):
         starts = np.array([span[0] for span in spans])
-        for rise in walk.rises_ns:
-            if len(starts) and abs((starts - rise)[np.argmin(np.abs(starts - rise))]) < NEAR_NS:
-                late.append(MS * float((starts - rise)[np.argmin(np.abs(starts - rise))]))
+        off = [float(min(starts - rise, key=abs)) for rise in walk.rises_ns] if len(starts) else []
+        late += [MS * ns for ns in off if abs(ns) < NEAR_NS]
 
 
 # --- the lead, with the person left out -------------------------------------------------------------------------------
@@ -276,7 +252,6 @@ TITLES = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; 1 if there are too many false starts."""
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--only", nargs="*", default=list(SETS), choices=SETS)
     options = parser.parse_args(arguments)
@@ -292,10 +267,7 @@ def main(arguments: list[str] | None = None) -> int:
         for lead, (early, false) in starts(walk.track, calibration).items():
             own[lead] = own[lead][0] + early, own[lead][1] + false
         print(walk.group, walk.person, walk.track.sensor, own, file=sys.stderr, flush=True)
-    table = Table(*TITLES, title="ms, median [5–95 %]")
-    found = rows(groups)
-    for cells in found:
-        table.add_row(*cells)
+    table = table_of("ms, median [5–95 %]", TITLES, rows(groups))
     console = console_of(220)
     leads = {key: chosen(counts, key[1]) for key in counts}
     total = [sum(by_lead[leads[key]][which] for key, by_lead in counts.items()) for which in (0, 1)]

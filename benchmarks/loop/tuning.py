@@ -1,11 +1,8 @@
 """Stimulation that tunes itself against settings made that day, in trials in which every arm may do the same.
 
-    python benchmarks/loop/tuning.py --patients 200 --second 100 --write docs/tuning_results.md   # everything
-    python benchmarks/loop/tuning.py --patients 20 --trials day --arms short tuner --each         # a look
-
-It takes hours. With ``--keep FILE`` whoever has walked is written there at once, and does not walk again with the same
-tuning (the files of its room; of the rule and its watch only where these are tried); ``--kept`` makes the tables of
-those alone.
+It takes hours: docs/tuning_results.md has the commands. With ``--keep FILE`` whoever has walked is written there at
+once, and does not walk again with the same tuning (the files of its room; of the rule and its watch only where these
+are tried); ``--kept`` makes the tables of those alone.
 
 Arms, all within the same bounds (50 mA, 60 to 300 µs):
 
@@ -57,7 +54,6 @@ from benchmarks.loop.tuning_cohort import (
 from fes.config import Channel, FootGeometry, Session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import CalibrationError
-from fes.signals import NS_PER_S
 from fes.simulation.forward import VirtualPatient, harm_of
 from fes.simulation.forward.gait_patterns import PATTERNS
 
@@ -85,20 +81,10 @@ class Trial:
     who: Callable[[Any], Any] = lambda settings: settings
     acts: dict[int, Callable[[Any, Any], None]] = field(default_factory=dict)
     fault: str = ""  # what is to be named
-    rests: bool = False  # walks on by itself after a stop
 
 
 def _quality(share: float) -> Callable[[Any, Any], None]:
     return lambda one, settings: one.set_electrode_quality(share * getattr(settings, "electrode_quality", 1.0))
-
-
-def _muscle(**factors: float) -> Callable[[Any], Any]:
-    def made_over(settings: Any) -> Any:
-        muscle = settings.muscle
-        changed = {name: factor * getattr(muscle, name) for name, factor in factors.items()}
-        return replace(settings, muscle=replace(muscle, **changed))
-
-    return made_over
 
 
 def _slow(settings: Any) -> Any:
@@ -122,11 +108,6 @@ TRIALS = {
         fault="calf",
     ),
     "slow": Trial("Wang's five walks, 0.21–0.35 m/s", _slow),
-    "speeds": Trial(
-        "belt 0.4 → 1.0 m/s → stop → on", lambda settings: replace(settings, speed_mps=0.4),
-        {15: lambda one, settings: one.set_speed(1.0), 30: lambda one, settings: one.stop()}, rests=True,
-    ),
-    "strong": Trial("muscle's gain × 2.5", _muscle(max_torque_nm=2.5)),
 }  # fmt: skip
 
 
@@ -159,15 +140,13 @@ def evertors() -> Channel:
 
 
 def session_of(geometry: FootGeometry, arm: str, set_ma: float = START_MA) -> Session:
-    """An arm's session; ``set_ma``: what was set that day, at WIDTH_US. "run-to-run" moves the current."""
+    """An arm's session; ``set_ma``: what was set that day, at WIDTH_US."""
     if arm == "none":
         return session_with(geometry)
     if arm == "fixed":
         return session_with(geometry, channel_of(set_ma, extension_s=0.0))
     if arm == "short":
         return session_with(geometry, short_channel(set_ma, extension_s=0.0))
-    if arm == "run-to-run":
-        return session_with(geometry, channel_of(set_ma, tuning=tuning_of("run_to_run")))
     lifts = short_channel(START_MA, tuning=tuning_of())
     return session_with(geometry, lifts, *([evertors()] if arm == "two" else []))
 
@@ -285,8 +264,6 @@ def one_walk(one: Person, trial: Trial, arm: str, set_ma: float) -> Result:
         while len(happened) < len(due) and walked >= due[len(happened)]:
             trial.acts[due[len(happened)]](patient, settings)
             happened.append(t_ns)
-        if trial.rests and happened and not patient.walking and t_ns > happened[-1] + 8 * NS_PER_S:
-            patient.walk()
 
     session = session_of(geometry, arm, set_ma)
     done = walk(
@@ -435,7 +412,6 @@ def fault_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
 
 
 def main() -> None:
-    """Walk the trials and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--patients", type=int, default=20)
     parser.add_argument("--first", type=int, default=130000, help="seed of the first")

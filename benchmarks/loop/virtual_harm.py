@@ -66,7 +66,6 @@ def rows() -> Iterator[list[str]]:
 
 
 def main() -> None:
-    """Print the table; keep it where asked."""
     given = parser_of(__doc__).parse_args()
     result = Result("python benchmarks/loop/virtual_harm.py", [Figures("", HEAD, list(rows()))])
     print(result.markdown())

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.given_borders import quietest_near
-from benchmarks.accuracy.orientation_sets import Trial, broad, gaitmap_pitch
-from benchmarks.accuracy.stride_length import strides_of
-from benchmarks.accuracy.stroke_treadmill import LAST_S
-from benchmarks.accuracy.zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
-from benchmarks.lib.event_cases import Case as EventCase
-from benchmarks.lib.event_cases import gaitmap_cases
-from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
+from benchmarks.accuracy.orientation import Trial, broad, gaitmap_pitch
+from benchmarks.accuracy.stride_length import quietest_near, strides_of
+from benchmarks.lib import real_sets
+from benchmarks.lib.real_sets import LAST_S, BoolArray, BorderedWalk, PathWalk, Walk, gaitmap, pyshoe, ruler, xio
 from benchmarks.peers.exchange import Case
 from fes.analysis.ground_path import GroundPath, ground_path
 from fes.calibration.recording import calibrate_track
@@ -43,7 +38,7 @@ class Asked:
     lift_m: FloatArray = field(default_factory=lambda: np.zeros(0))
     walk: Walk | None = None
     swings_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    events: EventCase | None = None
+    events: real_sets.Case | None = None
     path: GroundPath | None = None
     belt_mps: float = float("nan")
     speed_mps: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -77,10 +72,11 @@ def case_of(
     )
 
 
-def bordered(walks: list[Walk], cut: list[BorderedWalk], tasks: tuple[str, ...]) -> list[Asked]:
+def bordered(walks: list[BorderedWalk], tasks: tuple[str, ...]) -> list[Asked]:
     """Walks with reference borders; a stride that the set itself disputes is measured, but does not count."""
     asked = []
-    for walk, borders in zip(walks, cut, strict=True):
+    for borders in walks:
+        walk = borders.walk
         ends = np.column_stack((borders.begin_ns, borders.end_ns))
         calibration, own = calibrate_track(walk.track), walk.data_set == "gaitmap_walk"
         counts = ~borders.disputed & _countable(walk, ends)
@@ -137,32 +133,23 @@ def at_our_ends(one: Asked) -> Asked:
     )
 
 
-def _true_lift_m(walk: Walk | None, begin_s: float, end_s: float) -> float:
-    assert isinstance(walk, PathWalk)
-    return walk.true_lift_m(between(walk.track, round(1e9 * begin_s), round(1e9 * end_s)))
-
-
 def gaitmap_asked(folder: Path) -> list[Asked]:
     """Both feet: reference borders of the straight strides, all 57 strides for recall, events."""
-    walks = list(gaitmap_walk(folder))
-    if not walks:
-        return []
     asked = []
-    events = gaitmap_cases(folder)
-    for one, true_events in zip(bordered(walks, gaitmap(folder), ()), events, strict=True):
-        with (folder / "gaitmap_walk" / "stride_events_sample.csv").open(newline="") as file:
-            rows = [row for row in csv.DictReader(file) if row["foot"] == one.case.side]
-        swings = np.array([0.5 * (float(row["tc"]) + float(row["ic"])) for row in rows]) / one.case.rate_hz
-        case = replace(one.case, tasks=("borders", "detection", "events"))
-        lifts = np.array([_true_lift_m(one.walk, *pair) for pair in (one.case.borders / one.case.rate_hz).tolist()])
-        asked.append(replace(one, case=case, lift_m=lifts, swings_s=swings, events=true_events))
+    for one, events in zip(bordered(gaitmap(folder), ()), real_sets.gaitmap_cases(folder), strict=True):
+        walk, case = one.walk, replace(one.case, tasks=("borders", "detection", "events"))
+        assert isinstance(walk, PathWalk)
+        ends_ns = np.round(1e9 * case.borders / case.rate_hz).astype(np.int64)
+        lifts = np.array([walk.true_lift_m(between(walk.track, *pair)) for pair in ends_ns.tolist()])
+        swings = 0.5 * (events.fo_s + events.ic_s)
+        asked.append(replace(one, case=case, lift_m=lifts, swings_s=swings, events=events))
     return asked
 
 
 def stroke_asked(folder: Path) -> list[Asked]:
     """24 feet in the last 120 s, between the borders that our own tracker found; warmed up for 10 s."""
     asked = []
-    for name, track, belt_mps in stroke(folder):
+    for run, track, belt_mps in real_sets.stroke_feet(folder):
         calibration = calibrate_track(track)
         late = [
             s
@@ -171,11 +158,8 @@ def stroke_asked(folder: Path) -> list[Asked]:
         ]
         ends = np.array([(s.t_start_ns, s.t_end_ns) for s in late])
         first = int(np.searchsorted(track.t_ns, track.t_ns[-1] - round(1e9 * (LAST_S + WARM_UP_S))))
-        part = Track(
-            track.sensor, track.rate_hz, track.t_ns[first:], track.t_sensor_ns[first:], track.acc_mps2[first:],
-            track.gyr_radps[first:],
-        )  # fmt: skip
-        case = case_of(f"stroke-{name}".replace(" ", "-"), part, calibration, ends, ("borders", "detection"))
+        part = track.part(slice(first, None))
+        case = case_of(f"stroke-{run}-{track.sensor}", part, calibration, ends, ("borders", "detection"))
         asked.append(Asked(case, "stroke_treadmill", belt_mps=belt_mps))
     return asked
 
@@ -194,8 +178,8 @@ def orientation_asked(folder: Path) -> list[Asked]:
 def all_asked(folder: Path) -> list[Asked]:
     """Everything that the folder holds."""
     walks = [
-        *bordered(list(pyshoe_vicon(folder)), pyshoe(folder), ("borders", "detection", "rest")),
-        *bordered(list(ruler_walks(folder)), ruler(folder), ("borders", "detection")),
+        *bordered(pyshoe(folder), ("borders", "detection", "rest")),
+        *bordered(ruler(folder), ("borders", "detection")),
         *gaitmap_asked(folder),
     ]
     asked = [

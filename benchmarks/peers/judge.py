@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.accuracy_bars import (
+from benchmarks.accuracy.accuracy_rows import (
     BELT,
     BELT_OWN,
     CLOSURE,
@@ -17,10 +17,11 @@ from benchmarks.accuracy.accuracy_bars import (
     LENGTH_OWN,
     LIFT_GIVEN,
     PITCH,
+    Row,
+    row_of,
 )
-from benchmarks.accuracy.accuracy_row import Row, row_of
 from benchmarks.accuracy.events import OFFLINE_S, compare
-from benchmarks.accuracy.orientation_sets import upward
+from benchmarks.accuracy.orientation import upward
 from benchmarks.accuracy.zero_velocity import LIMIT_MPS, scores
 from benchmarks.lib.real_sets import STRAIGHT_RAD
 from benchmarks.peers.cases import OUR_ENDS, Asked, between, moving_truth

@@ -88,7 +88,6 @@ def pipelines(case: Case) -> dict[str, float]:
 
 
 def main(folder: Path) -> None:
-    """All of them; one that fails is told and does not stop the others."""
     warnings.simplefilter("ignore")
     found: dict[str, list[float]] = {}
     failed: dict[str, str] = {}

@@ -1,7 +1,5 @@
 """A sensor that dies in mid-burst, and a program that dies: the makers' example and this project on one simulated P24.
 
-    python benchmarks/safety/dead_sensor.py
-
 *Example* does what the makers' minimal example for Capture2Go and ScienceMode4 does (nextroundwinner, MIT, 2025-11):
 mid level; an update where the crank's angle changes which muscles are on; where no angle comes within 0.5 s it goes on;
 and every turn ends by asking for current data, which renews the device's watchdog of 2 s. *Gate* is this project's
@@ -16,9 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import cos, sin, tau
 
-from rich.table import Table
-
-from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.channels import LIMITS, channel
+from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
 from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.stimulator import p24_port as codec
@@ -36,15 +33,9 @@ SAMPLE_NS, COMMAND_NS = 10 * MS, 20 * MS
 EXAMPLE_WAITS_NS = NS_PER_S // 2
 CURRENT_MA, WIDTH_US, FREQUENCY_HZ = 20.0, 200.0, 50.0
 ON_MA = 10.0  # the current is on, not only rising
-LIMITS = {
-    "max_current_ma": 30.0, "max_pulse_width_us": 400.0, "max_frequency_hz": 50.0, "max_charge_per_phase_uc": 10.0,
-    "max_charge_per_minute_mc": 50.0, "max_current_density_ma_per_cm2": 1.0, "max_rise_ma_per_s": 1000.0,
-    "max_on_s": 3.0, "min_off_s": 0.1,
-}  # fmt: skip
-CHANNEL = {
-    "name": "quadriceps", "number": 0, "foot": "right_foot", "electrode_area_cm2": 50.0, "current_ma": CURRENT_MA,
-    "pulse_width_us": WIDTH_US, "frequency_hz": FREQUENCY_HZ, "limits": LIMITS,
-}  # fmt: skip
+CHANNEL = channel(
+    "right_foot", electrode_area_cm2=50.0, current_ma=CURRENT_MA, pulse_width_us=WIDTH_US, frequency_hz=FREQUENCY_HZ
+)
 
 
 @dataclass(frozen=True)
@@ -164,9 +155,8 @@ def last_pulses_ms(run: Callable[[Death], list[int]], *, sensor: bool) -> list[f
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
     options = parser_of(__doc__).parse_args(arguments)
-    table = Table("last pulse after", "the sensor dies", "the program dies", title="")
+    rows = []
     for name, run in ARMS:
         cells = []
         for sensor in (True, False):
@@ -174,7 +164,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             still = sum(each == float("inf") for each in times_ms)
             worst = f"{max(times_ms):.0f} ms at most" if not still else f"still on after {WATCHED_NS // NS_PER_S} s"
             cells.append(f"{worst}, {still or len(times_ms)} of {len(times_ms)}")
-        table.add_row(name, *cells)
+        rows.append([name, *cells])
+    table = table_of("", ("last pulse after", "the sensor dies", "the program dies"), rows)
     publish(console_of(100), [table], options)
 
 

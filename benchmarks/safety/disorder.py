@@ -1,26 +1,15 @@
 """How soon a foot whose cycle the machine does not see is named, and how often one is that it does see.
 
-    python benchmarks/safety/disorder.py [--patients 60] [--only SET …] [--data FOLDER] [--json FILE]
-
-*Sound*: every real foot as it is, by its own calibration, known and unseen sets, feet and shanks, and virtual patients,
-unstimulated (both feet; on a belt whose speed changes, too) and stimulated in closed loop (the affected one). Namings
-are told per 1,000 strides, and every foot that was named with the share of its strides that are in order by
-``swing_judge``: a foot mostly out of order ought to be named. *Planted*: the axis has the wrong sign; the sensor turns
-by 180° about the vertical in mid-walk; the other foot's sensor is worn, with this foot's calibration; the foot comes to
-shuffle. Counted are the strides (swings by ``fes/analysis/swings.py``; of a shuffle each scrape) that begin after the
-plant and before the naming.
+*Sound*: every real foot as it is, feet and shanks, and virtual patients, unstimulated (on a belt whose speed changes,
+too) and stimulated in closed loop. *Planted*: the axis has the wrong sign; the sensor turns by 180° about the vertical
+in mid-walk; the other foot's sensor is worn; the foot comes to shuffle. Counted are the strides (swings by
+``fes/analysis/swings.py``; of a shuffle each scrape) that begin after the plant and before the naming, and the bursts
+that may begin after the fifth, with this judge and without it.
 
 A shuffle is made after what a severe foot of a stroke survivor showed: the foot stands 0.6–1.5 s, then is scraped along
-the floor for 2–4 s (*short shuffle*: 1–3 s), in slips of 2–12 cm and 0.15–0.35 s with rests of 0.05–0.5 s between
-them, turning about all three axes at 50–130 °/s at most. *Shuffle*: with the measures that such a foot's calibration
-has. *Shuffle after a walk*: by
-the calibration of this foot's own walk, which comes first for 20 s; mostly the machine finds no swing in it then.
-
-Beside the strides: how many bursts may begin in the strides after the fifth, with this judge and without it.
-
-*Fallback*: could the other foot's cycle time this foot's bursts? On the treadmill, both feet sound: when this foot's T1
-and T3 come, by the share of the other foot's cycle (contact to contact) at which they last came (mean of five), or,
-for a foot that has never been in order, by the mean share of all other persons.
+the floor for 2–4 s (*short*: 1–3 s), in slips of 2–12 cm and 0.15–0.35 s with rests of 0.05–0.5 s between them, turning
+about all three axes at 50–130 °/s at most. By the measures that such a foot's calibration has, and *after a walk* by
+the calibration of this foot's own walk, which comes first for 20 s.
 """
 
 from __future__ import annotations
@@ -32,13 +21,12 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from rich.table import Table
 
-from benchmarks.accuracy.every_walker import SETS, Foot, calibrate, feet_of, swings_of
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, verdict
-from benchmarks.lib.figures import Figures
-from benchmarks.lib.figures import Result as Kept
+from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.swing_judge import in_order
+from benchmarks.lib.walkers import SETS, Foot, calibrate, feet_of, swings_of
 from benchmarks.loop.closed_loop_walk import walk
 from benchmarks.loop.tuning_cohort import channel_of
 from fes.analysis.swings import Swings, find_swings
@@ -66,7 +54,6 @@ CURRENT_MA, INTENDED = 25.0, "stimulated"
 CHANGED = "belt changed"
 SOUND = "sound", INTENDED, CHANGED  # what is not
 PLANTED = "wrong sign", "shuffle", "short shuffle"  # what is to be named
-REMEMBERED = 5
 
 
 @dataclass
@@ -301,72 +288,10 @@ def stimulated(settings: PatientSettings, calibration: FootCalibration, who: str
     return Result("virtual", INTENDED, who, len(done.strides), len(told), words=told)
 
 
-# --- the other foot as a witness --------------------------------------------------------------------------------------
-
-
-def share_errors(
-    contacts: IntArray, events: IntArray, shares: Sequence[float] | None
-) -> tuple[list[float], list[float]]:
-    """How much later than the event the other foot's cycle says it is, ms; and at which share of the cycle it came.
-
-    The cycle is as long as the last one was. ``shares``: of other persons; None: this person's own last ones.
-    """
-    errors: list[float] = []
-    own: list[float] = []
-    for event in events.tolist():
-        k = int(np.searchsorted(contacts, event, side="right")) - 1
-        if k < 1:
-            continue
-        cycle_ns, share = contacts[k] - contacts[k - 1], (event - contacts[k]) / (contacts[k] - contacts[k - 1])
-        if share < 1.5:  # else the other foot's contact is missing
-            if known := own[-REMEMBERED:] if shares is None else shares:
-                usual = np.angle(np.exp(2j * np.pi * np.array(known)).mean()) / (
-                    2.0 * np.pi
-                )  # a cycle has no beginning
-                errors.append(1e-6 * cycle_ns * ((usual - share + 0.5) % 1.0 - 0.5))
-            own.append(share)
-    return errors, own
-
-
-def fallback(feet: Iterable[Foot]) -> Figures:
-    """Errors of T1 and T3 by the other foot, on walks of which both feet have a sound cycle."""
-    runs: dict[tuple[str, str], dict[str, list[PhaseChange]]] = defaultdict(dict)
-    for foot in feet:
-        try:
-            runs[foot.person, foot.run][foot.track.sensor] = watched(foot.track, calibrate(foot.track)).changes
-        except CalibrationError:
-            continue
-    rows = []
-    for kind in (Transition.T1, Transition.T3):
-        cases = [
-            (person, times_of(both[other], Transition.T3), times_of(both[mine], kind))
-            for (person, _), both in runs.items()
-            for mine, other in (FOOT_SENSORS, FOOT_SENSORS[::-1])
-            if mine in both and other in both
-        ]
-        shares = [(person, share_errors(contacts, events, None)[1]) for person, contacts, events in cases]
-        for whose in ("this person's last five", "all others"):
-            errors: list[float] = []
-            for person, contacts, events in cases:
-                others = [share for one, own in shares if one != person for share in own]
-                errors += share_errors(contacts, events, None if whose.startswith("this") else others)[0]
-            low, middle, high = np.percentile(errors, (5, 50, 95))
-            near = f"{100.0 * np.mean(np.abs(errors) <= 60.0):.0f}"
-            row = f"{middle:+.0f}", f"{low:+.0f} … {high:+.0f}", near
-            rows.append([kind.name, whose, str(len(errors)), *row])
-    return Figures(
-        "By the other foot's cycle", ["event", "shares of", "n", "median ms", "5–95 % ms", "within ±60 ms, %"], rows
-    )
-
-
-def times_of(changes: Iterable[PhaseChange], kind: Transition) -> IntArray:
-    return np.array([change.t_ns for change in changes if change.transition is kind], np.int64)
-
-
 # --- the table --------------------------------------------------------------------------------------------------------
 
 
-def tables_of(results: Sequence[Result]) -> list[Figures]:
+def tables_of(results: Sequence[Result]) -> list[Table]:
     """Of what was planted, by kind of walker; and of the walks as they are, by set."""
     planted, sound = defaultdict[tuple[str, str], list[Result]](list), defaultdict[str, list[Result]](list)
     for one in results:
@@ -392,14 +317,9 @@ def tables_of(results: Sequence[Result]) -> list[Figures]:
         kept_back = sum(one.unwatched - one.bursts for one in own)
         rate = f"{1e3 * namings / max(strides, 1):.2f}"
         as_they_are.append([name, str(len(own)), f"{strides:,}", str(namings), rate, str(kept_back)])
-    return [
-        Figures(
-            "Planted",
-            ["planted", "walkers", "feet", f"within {WITHIN} strides, %", "latest", "never", "bursts", "without"],
-            rows,
-        ),
-        Figures("As they are", ["set", "feet", "strides", "namings", "per 1,000", "bursts kept back"], as_they_are),
-    ]
+    columns = ("planted", "walkers", "feet", f"within {WITHIN} strides, %", "latest", "never", "bursts", "without")
+    usual = ("set", "feet", "strides", "namings", "per 1,000", "bursts kept back")
+    return [table_of("Planted", columns, rows), table_of("As they are", usual, as_they_are)]
 
 
 def named_by_mistake(results: Iterable[Result]) -> list[str]:
@@ -419,16 +339,10 @@ def main() -> int:
     options = parser.parse_args()
     console = console_of(150)
     results = [*real(feet_of(options.data, options.only)), *virtual(options.patients)]
-    tables = tables_of(results)
-    if "stroke_treadmill" in options.only:
-        tables.append(fallback(feet_of(options.data, ["stroke_treadmill"])))
-    kept = Kept("python benchmarks/safety/disorder.py", tables, notes=named_by_mistake(results))
-    print(kept.markdown())
-    if options.json is not None:
-        kept.keep(options.json)
+    publish(console, tables_of(results), options, named_by_mistake(results))
     told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
-    return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt), several=True)
+    return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,9 @@
 """How soon two sensors on each other's feet are told by the session's check of sides, and how often it is wrong.
 
-    python benchmarks/safety/exchanged_feet.py [--patients 12] [--data FOLDER] [--json FILE]
-
 Each walk's sensors are exchanged with the calibration stored, and once more left as they are. A channel's third burst
-begins in its foot's fourth stride (one stride of walking, then a burst in each). *Strides asked* is how many of each
-foot the check waits for; the product's own is marked. Named: at the score that the product asks for, before the
-third burst and at all, and the stride of that in the middle. False: a walk on its own sides that is called exchanged at
-any time.
+begins in its foot's fourth stride. *Strides asked* is how many of each foot the check waits for; the product's own is
+marked. Named: at the score that the product asks for, before the third burst and at all, and the stride of that in the
+middle. False: a walk on its own sides that is called exchanged at any time.
 """
 
 from __future__ import annotations
@@ -18,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run, runs_of
 from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.real_sets import data_folder, load_run, runs_of
 from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import tell_sides
-from fes.datasets.walks import read_stroke_walks
+from fes.datasets import read_file
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings
@@ -87,30 +84,18 @@ def named(seen: Seen, asked: int) -> int | None:
     return None
 
 
-def real(folder: Path) -> Iterator[tuple[str, Feet]]:
-    """Pairs of real feet, and the bundled trial's."""
-    for path in runs_of(folder):
-        yield path.stem, load_run(path)[0]
-
-
-def on_a_floor(folder: Path) -> Iterator[tuple[str, Feet]]:
-    """Pairs of feet of people who walk to and fro, each by a clock of its own: not in their own order."""
-    for path in sorted((folder / "unseen_walkers" / "stroke_walks").glob("*.npz")):
-        yield path.stem, read_stroke_walks(path).recording.tracks
-
-
-def virtual(patients: int) -> Iterator[tuple[str, Feet]]:
+def virtual(patients: int) -> Iterator[Feet]:
     """Pairs of virtual ones, of each severity in turn."""
     for number in range(patients):
         severity, seed = SEVERITIES[number % len(SEVERITIES)], FIRST_SEED + number
         settings = settings_for(severity, seed=seed, speed_mps=0.8, sensors=FOOT_SENSORS, rate_hz=RATE_HZ)
-        yield f"{severity} {seed}", recorded_walk(settings, WALKS_S, 1.0, "sides", "simulated").tracks
+        yield recorded_walk(settings, WALKS_S, 1.0, "sides", "simulated").tracks
 
 
-def report(group: str, walks: Iterator[tuple[str, Feet]], table: Table) -> None:
+def report(group: str, walks: Iterator[Feet], table: Table) -> None:
     """One row for each number of strides asked."""
     exchanged, own, refused = list[Seen](), list[Seen](), 0
-    for _, tracks in walks:
+    for tracks in walks:
         feet = {foot: tracks[foot] for foot in FOOT_SENSORS if foot in tracks}
         if len(feet) < 2:
             continue
@@ -136,17 +121,19 @@ def report(group: str, walks: Iterator[tuple[str, Feet]], table: Table) -> None:
 
 
 def main() -> None:
-    """Real, bundled and virtual feet."""
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--patients", type=int, default=12)
     options = parser.parse_args()
     table = Table(*COLUMNS)
-    report("bundled", iter([("bundled", read_recording(BUNDLED).tracks)]), table)
+    report("bundled", iter([read_recording(BUNDLED).tracks]), table)
     report("virtual", virtual(options.patients), table)
     if options.data.is_dir():
-        report("stroke survivors, treadmill", real(options.data), table)
-        report("others, treadmill", real(options.data / "unseen_walkers"), table)
-        report("stroke survivors and others, floor", on_a_floor(options.data), table)
+        floor = sorted((options.data / "unseen_walkers" / "stroke_walks").glob("*.npz"))
+        belt = {"stroke survivors": options.data, "others": options.data / "unseen_walkers"}
+        for name, folder in belt.items():
+            report(f"{name}, treadmill", (load_run(path)[0] for path in runs_of(folder)), table)
+        walks = (read_file("stroke_walks", path).recording.tracks for path in floor)  # each foot by its own clock
+        report("stroke survivors and others, floor", walks, table)
     publish(console_of(140), [table], options)
 
 

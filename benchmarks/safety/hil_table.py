@@ -1,6 +1,4 @@
-"""One table of several fault campaigns, for docs/hil_results.md.
-
-    python benchmarks/safety/hil_table.py out/hil-*/hil.json
+"""One table of several fault campaigns (``out/hil-*/hil.json``), for docs/hil_results.md.
 
 Rows are faults, columns transports. A cell holds the worst time from the fault to the end of the stimulator's output,
 for how long of it current flowed in a true stance, at most, where it did, and how many attempts were as required and in
@@ -118,7 +116,6 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print or write the table; exit status 2 when a file cannot be used."""
     parser = argparse.ArgumentParser(description="One table of several fault campaigns.")
     parser.add_argument("results", nargs="+", type=Path, help="hil.json files, one per campaign")
     parser.add_argument("--json", type=Path, help="keep it here, for `make figures`")

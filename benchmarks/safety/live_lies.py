@@ -1,20 +1,11 @@
 """A sensor that begins to lie in mid-walk, live: how soon gate or witness tell it, and what goes wrong meanwhile.
 
-    python benchmarks/safety/live_lies.py [--lies NAME …] [--feet N] [--json FILE]
-
 Of every person of ``witness.py`` one foot walks through a whole session at 100 Hz: controller, gate and commands, armed
 once, 20 mA; and beside it the live witness hears each stride. At half time the sensor begins to lie. The same walk
-without the lie says which phase the foot is in. By lie and half of the persons:
-
-- *latched within*: feet whose gate latched before so many strides had ended since the lie began;
-- *stopped within*: of the others those of which no burst began any more by then, for their cycle was in disorder;
-- *witness in*: of those that were not latched those of whom the witness told something within so many strides;
-- *never*: none of the three, the witness within the last of its strides;
-- *in stance*: ms of current in all since the lie began, while the foot stands (less the last 150 ms of a stance, in
-  which a burst may begin early): median, 95 %, most; and how many feet got more than 100 ms;
-- *length*: the live stride length over that of the sound walk, median [5, 95 %] of feet.
-
-The first row has no lie: what is told there is false. Exit code 3 without data.
+without the lie says which phase the foot is in. *Latched within*: before so many strides had ended since the lie began;
+*stopped within*: of the others those in disorder by then, so that no burst begins; *by the witness*: of those not
+latched; *in stance*: ms of current while the foot stands (less the last 150 ms of a stance): median, 95 %,
+most. The first row has no lie: what is told there is false. Exit code 3 without data.
 """
 
 from __future__ import annotations
@@ -27,9 +18,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.table import Table
 
-from benchmarks.accuracy.every_walker import calibrate
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import calibrate
 from benchmarks.loop.by_radio import EARLY_NS, MS, RATE_HZ, Walk, by_cable, overlap_ns, session_of, stances
 from benchmarks.safety.witness import (
     Change,
@@ -184,18 +175,9 @@ def rows_of(walker: Walker, lies: Sequence[str]) -> list[Row]:
     return rows
 
 
-def table_of(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
+def table_of_half(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
     """Of one half of the persons."""
-    columns = ["lie", "feet", *(f"latched within {n}" for n in LATCHED), "later"]
-    columns += [
-        *(f"stopped within {n}" for n in STOPPED),
-        *(f"by the witness in {n}" for n in HEARD),
-        "never",
-        "in stance, ms",
-        f"over {MUCH_MS:.0f} ms",
-        "length",
-    ]
-    table = Table(*columns, title=f"Persons whom the bounds {'were chosen on' if known else 'had not seen'}")
+    cells = []
     for lie in lies:
         own = [row for row in rows if row.lie == lie and row.known == known]
         if not own:
@@ -207,18 +189,22 @@ def table_of(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
         middle, most = np.percentile([row.stance_ms for row in own], (50, 95))
         lengths = [row.length for row in own if np.isfinite(row.length)]
         low, half, high = np.percentile(lengths, (5, 50, 95)) if lengths else (np.nan,) * 3
-        table.add_row(
+        cells.append([
             lie, str(len(own)), *(str(sum(n <= limit for n in latched)) for limit in LATCHED),
             str(sum(n > LATCHED[-1] for n in latched)), *(str(sum(n <= limit for n in stopped)) for limit in STOPPED),
             *(str(sum(n <= limit for n in heard)) for limit in HEARD), str(untold),
             f"{middle:.0f}, {most:.0f}, {max(row.stance_ms for row in own):.0f}",
             str(sum(row.stance_ms > MUCH_MS for row in own)), f"{half:.2f} [{low:.2f}, {high:.2f}]",
-        )  # fmt: skip
-    return table
+        ])  # fmt: skip
+    columns = (
+        "lie", "feet", *(f"latched within {n}" for n in LATCHED), "later", *(f"stopped within {n}" for n in STOPPED),
+        *(f"by the witness in {n}" for n in HEARD),
+        "never", "in stance, ms", f"over {MUCH_MS:.0f} ms", "length",
+    )  # fmt: skip
+    return table_of(f"Persons whom the bounds {'were chosen on' if known else 'had not seen'}", columns, cells)
 
 
 def main() -> int:
-    """Print the tables."""
     parser = parser_of(__doc__)
     parser.add_argument("--lies", nargs="*", choices=list(LIES), default=list(LIES))
     parser.add_argument("--feet", type=int, help="about so many, evenly among all")
@@ -226,8 +212,7 @@ def main() -> int:
     feet = [walker for walker in walkers(SECONDS) if walker.lied]
     feet = feet[:: max(len(feet) // (options.feet or len(feet)), 1)]
     if not feet:
-        print("No recordings; set FES_DATA.", file=sys.stderr)
-        return 3
+        return no_recordings(data_folder())
     rows, left_out = list[Row](), 0
     with suppress(KeyboardInterrupt):  # the tables are of those who walked by then
         for walker in feet:
@@ -235,7 +220,7 @@ def main() -> int:
             left_out += not found
             rows += found
             print(walker.foot.data_set, walker.foot.person, len(found), file=sys.stderr, flush=True)
-    tables = [table_of(rows, options.lies, known=known) for known in (False, True)]
+    tables = [table_of_half(rows, options.lies, known=known) for known in (False, True)]
     notes = [f"{left_out} of {len(feet)} feet cannot be calibrated, or are latched before the lie begins."]
     publish(console_of(220), tables, options, notes, data_folder())
     return 0

@@ -1,19 +1,9 @@
-"""What the witness tells of sensors that lie, and of sound ones: real walks, persons apart.
+"""What the witness tells of sensors that lie, and of sound ones: real walks, persons apart; exit code 3 without data.
 
-    python benchmarks/safety/witness.py [--lies NAME …] [--seconds S] [--json FILE]
-
-The last 65 s of every foot of the data folder ($FES_DATA) and its ``unseen_walkers`` (``--seconds 1000``: all of them)
-are analysed as a user would, as they are and with a lie put in: all feet as they are, of each person the first with
-each lie. Of the persons in
-order of set and name every other one is known, the first included: on these the bounds of ``fes/witness/verdict.py``
-were chosen. The others judge. One set that a single subject walked is one person.
-
-By lie and half: feet; refused by calibration; told as what it is; told as something else; said not to be known (too
-few strides, or not surely); not told; the stride length over that of the sound walk, as read and where it was told
-corrected (median, 5 and 95 %); and of the feet whose length the lie moves by more than 5 %, with those that were
-refused, how many were told as what it is, were told something or got a sentence that it is not known, and neither.
-A lie at half time is told when its begin is told; how many of the sound walk's strides lie between. A false finding
-is one on a foot as it is; the interval takes findings for Poisson's. Exit code 3 without data.
+The last 65 s of every foot of the data folder and its ``unseen_walkers`` (``--seconds 1000``: all of them) are analysed
+as a user would, as they are and with a lie put in: all feet as they are, of each person the first with each lie. Of the
+persons in order of set and name every other one is known, the first included: on these the bounds of
+``fes/witness/verdict.py`` were chosen. The others judge. docs/witness.md says what the columns are.
 """
 
 from __future__ import annotations
@@ -21,24 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
+from rich.table import Table
 from scipy.stats import chi2
 
-from benchmarks.accuracy.every_walker import (
-    Foot,
-    footswitch_treadmill,
-    gaitmap,
-    measured_walks,
-    pyshoe_vicon,
-    ruler_walks,
-    stroke_treadmill,
-    stroke_walks,
-)
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.lib.command_line import parser_of
-from benchmarks.lib.figures import Figures, Result, digest
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import data_folder, pyshoe_vicon, ruler_walks
+from benchmarks.lib.walkers import Foot, footswitch_treadmill, gaitmap, measured_walks, stroke_treadmill, stroke_walks
 from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import CalibrationError
@@ -247,7 +227,7 @@ def _spread(values: Sequence[float]) -> str:
     return f"{middle:.3f} [{low:.3f}, {high:.3f}]"
 
 
-def of_sound(rows: Sequence[Row]) -> Figures:
+def of_sound(rows: Sequence[Row]) -> Table:
     cells = []
     for half, known in (("known", True), ("unseen", False)):
         own = [row for row in rows if row.known == known and not row.refused]
@@ -258,13 +238,13 @@ def of_sound(rows: Sequence[Row]) -> Figures:
         doubt = sum(row.silent for row in own)
         cells.append((half, str(len(own)), str(strides), str(doubt), str(accused), f"{rate[0]} [{rate[1]}, {rate[2]}]"))
     columns = ("persons", "feet", "strides", "not known", "accused", "false findings per 1,000 strides [95 %]")
-    return Figures("Sound sensors", columns, cells)
+    return table_of("Sound sensors", columns, cells)
 
 
 OUTCOMES = ("refused", "told", "as another", "not known", "not told")
 
 
-def of_lies(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Figures]:
+def of_lies(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Table]:
     for half, known in (("unseen", False), ("known", True)):
         cells = []
         for name in names:
@@ -282,10 +262,10 @@ def of_lies(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Figures]:
             "lie", "feet", *OUTCOMES, "length as read", "length corrected",
             "moved by > 5 %: told, refused or marked, neither",
         )  # fmt: skip
-        yield Figures(f"Lies, {half} persons", columns, cells)
+        yield table_of(f"Lies, {half} persons", columns, cells)
 
 
-def by_set(rows: Sequence[Row], names: Sequence[str]) -> Figures:
+def by_set(rows: Sequence[Row], names: Sequence[str]) -> Table:
     sets = sorted({row.data_set for row in rows})
     cells = []
     for name in names:
@@ -295,10 +275,10 @@ def by_set(rows: Sequence[Row], names: Sequence[str]) -> Figures:
             counts = [sum(row.outcome == outcome for row in own) for outcome in ("told", "as another")]
             found.append(f"{counts[0]}, {counts[1]} of {len(own)}" if own else "–")
         cells.append((name, *found))
-    return Figures("Told as itself, as another, of feet not refused, by set", ("lie", *sets), cells)
+    return table_of("Told as itself, as another, of feet not refused, by set", ("lie", *sets), cells)
 
 
-def of_begins(rows: Sequence[Row], names: Sequence[str]) -> Figures:
+def of_begins(rows: Sequence[Row], names: Sequence[str]) -> Table:
     cells = []
     for name in names:
         for half, known in (("unseen", False), ("known", True)):
@@ -309,7 +289,7 @@ def of_begins(rows: Sequence[Row], names: Sequence[str]) -> Figures:
                 (name, half, str(len(own)), *near, str(len(apart) - int(near[-1])), str(len(own) - len(apart)))
             )
     columns = ("lie", "persons", "feet", *(f"within {limit}" for limit in NEAR), "farther", "never")
-    return Figures("Strides between the begin of a lie and the one told", columns, cells)
+    return table_of("Strides between the begin of a lie and the one told", columns, cells)
 
 
 def main() -> int:
@@ -319,8 +299,7 @@ def main() -> int:
     options = parser.parse_args()
     feet = walkers(options.seconds)
     if not feet:
-        print("No recordings; set FES_DATA.", file=sys.stderr)
-        return 3
+        return no_recordings(data_folder())
     sound = [judged(walker, SOUND) for walker in feet]
     rows = [judged(walker, name) for name in options.lies for walker in feet if walker.lied and walker.sound]
     accused = [f"{row.foot}: {', '.join(row.kinds)}" for row in sound if row.kinds]
@@ -330,12 +309,7 @@ def main() -> int:
     tables += [of_begins(rows, later)] if later else []
     notes = [f"Accused as they are: {'; '.join(accused) or 'none'}."]
     notes.append(f"{sum(row.refused for row in sound)} feet are refused as they are and judged no further.")
-    data = {"data folder": digest(path for path in Path(data_folder()).rglob("*") if path.suffix in (".npz", ".mat"))}
-    command = " ".join(["python benchmarks/safety/witness.py", *sys.argv[1:]]).partition(" --json")[0]
-    result = Result(command, tables, data, notes=notes)
-    print(result.markdown())
-    if options.json is not None:
-        result.keep(options.json)
+    publish(console_of(200), tables, options, notes, data_folder())
     return 0
 
 

@@ -1,25 +1,18 @@
 """A cohort's scaling from one worker process to two, and what is lost when a worker is killed.
 
-    python benchmarks/speed/cohort.py                      2,000 recordings: four minutes on two free processors
-    python benchmarks/speed/cohort.py --recordings 40      as a check that it works; too short to tell the scaling
-
-Recordings are made here: the bundled trial of two feet, cut off at 20 to 40 s, each with noise of its own.
-One worker and two take turns, three times each, and the means are compared: a rented computer is not equally fast from
-one half-minute to the next. The clock runs from the first recording handed out to the last one kept, with the workers
-up and their compiled code loaded. Beside it stands the processor time of the workers and of this process, which hands
-out and collects: on a busy computer the scaling that these allow, were both processors free, tells more than the clock.
-Ctrl-C ends it at any time; what has been measured by then is printed.
+Recordings are made here: the bundled trial of two feet, cut off at 20 to 40 s, each with noise of its own. One worker
+and two take turns, three times each, and the means are compared: a rented computer is not equally fast from one
+half-minute to the next. The clock runs from the first recording handed out to the last one kept. Beside it stands the
+processor time of the workers and of this process: the scaling that these allow, were both processors free.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import shutil
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from benchmarks.speed.speed_row import Row, print_rows
+from benchmarks.speed.speed_row import Row
 from fes.cohort.engine import analyse_all, cluster
 from fes.cohort.page import write_pages
 from fes.cohort.store import RECORDINGS, Source, Store, find_sources
@@ -43,7 +36,6 @@ NOISE = 1e-3  # m/s² and rad/s, much below the sensors' own
 KILLED, KILL_AFTER = 64, 0.3  # recordings of the run in which a worker is killed; after which share of them
 REQUIRED = 1.8
 TURNS = (1, 2, 2, 1, 1, 2)  # workers; what drifts falls on both
-INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -159,24 +151,3 @@ def _mean(runs: list[Run], name: str) -> float:
 
 def _tell(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def main() -> int:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recordings", type=int, default=2000)
-    options = parser.parse_args()
-    rows: list[Row] = []
-    with tempfile.TemporaryDirectory(prefix="fes-cohort-") as name:
-        try:
-            for row in cohort_rows(options.recordings, Path(name)):
-                rows.append(row)
-        except KeyboardInterrupt:
-            _tell("Interrupted.")
-            print_rows(rows, "A cohort, interrupted")
-            return INTERRUPTED
-    return print_rows(rows, "A cohort")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,38 +1,27 @@
-"""How fast: the pipeline of two feet and its stages, start-up, and the user's road, `fes.analyse` to all its tables.
+"""How fast: the user's road, `fes.analyse` to all its tables; the pipeline of two feet and its stages; start-up.
 
-    python benchmarks/speed/speed.py [--minutes 10] [--json FILE] [--cold]
-
-The recording is the first run of the stroke-treadmill set, or without that (docs/accuracy.md says where it is from) the
-bundled both_feet_200hz, repeated to ``--minutes``. A foot's sample counts as one. Times are this process's
-processor time, the least of several runs, so that other programs disturb them little. ``--cold`` also times `fes
-analyse` with an empty compiler cache. What long recordings take ``speed_growth.py`` measures.
-
-*The user's road* (``speed_table.py --only road``) goes by the clock, in one pass after one that warms up: arrays or a
-file in, all tables out. What it costs beside the other libraries' ways ``speed_peers.py`` tells.
+The recording is the first run of the stroke-treadmill set, or without that the bundled both_feet_200hz, repeated. A
+foot's sample counts as one. The road goes by the clock, in one pass after one that warms up; other times are this
+process's processor time, the least of several runs, so that other programs disturb them little.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import resource
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import fes
-from benchmarks.accuracy.stroke_treadmill import data_folder, load_run
+from benchmarks.lib.real_sets import data_folder, load_run
 from benchmarks.speed.speed_bare import bare_seconds
 from benchmarks.speed.speed_row import Row
 from fes.analysis.ground_path import ground_path
@@ -180,10 +169,12 @@ def listed(result: Analysis) -> int:
     return len(result.strides) + len(result.phases)
 
 
-def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path | None = None) -> float:
-    """Least processor time of `fes …` with all its processes on one core, in s."""
+def command_seconds(
+    *arguments: str | Path, repeats: int = REPEATS, cache: Path | None = None, cores: Sequence[str] = ONE_CORE
+) -> float:
+    """Least processor time of `fes …` with all its processes, on one core if not said otherwise, in s."""
     environment = dict(os.environ) | ({"XDG_CACHE_HOME": str(cache)} if cache else {})
-    command = [*ONE_CORE, Path(sys.executable).with_name("fes"), *map(str, arguments)]
+    command = [*cores, Path(sys.executable).with_name("fes"), *map(str, arguments)]
     taken = []
     for _ in range(repeats):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -193,73 +184,44 @@ def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path 
     return min(taken)
 
 
-def measure(minutes: float, folder: Path, *, cold: bool) -> list[tuple[str, float, str, float | None]]:
-    """Rows of what, value, unit and bar (None: none), the recording being written to ``folder``."""
+def measure(minutes: float, folder: Path, *, cold: bool) -> list[Row]:
+    """Pipeline, stages and start-up; the recording is written to ``folder``."""
     keep_freed_memory()
     recording = repeated(one_walk(), minutes)
-    samples = sum(len(track.t_ns) for track in recording.tracks.values())
-    rows: list[tuple[str, float, str, float | None]] = [("samples, both feet", float(samples), "", None)]
-    files = [folder / f"from_{suffix[1:]}{suffix}" for suffix in (".parquet", ".csv")]
-    reading = []
-    for path in files:
+    samples, per = sum(len(track.t_ns) for track in recording.tracks.values()), "ns/sample"
+    group, start_up = f"analysis of {minutes:g} minutes of two feet", "start-up"
+    rows = [Row(group, "samples, both feet", float(samples))]
+    reading = {}
+    for suffix in ("parquet", "csv"):
+        path = folder / f"from_{suffix}.{suffix}"
         write_recording(recording, path)
         read_recording(path)
-        reading.append(least(lambda path=path: read_recording(path)))
-    recording, found = calibrations_of(read_recording(files[0]))
+        reading[path] = least(lambda path=path: read_recording(path))
+    first, *_ = reading
+    recording, found = calibrations_of(read_recording(first))
     analyse(recording, found.calibrations)
     calibrating = least(lambda: calibrations_of(recording))
     analysing = least(lambda: analyse(recording, found.calibrations))
     as_objects = least(lambda: listed(analyse(recording, found.calibrations)))
-    for path, seconds in zip(files, reading, strict=True):
-        whole = seconds + calibrating + analysing
-        bar = SAMPLES_PER_S if path is files[0] else None  # a text's digits alone take a third of what the bar allows
-        rows.append((f"whole pipeline from {path.suffix[1:]}", samples / whole, "samples/s", bar))
-    objects = samples / (reading[0] + calibrating + as_objects)
-    rows.append(("  the same from parquet, strides and phases as objects", objects, "samples/s", None))
-    per = 1e9 / samples
-    rows += [(f"read {path.suffix[1:]}", per * s, "ns/sample", None) for path, s in zip(files, reading, strict=True)]
-    rows += [("calibrate", per * calibrating, "ns/sample", None), ("analyse", per * analysing, "ns/sample", None)]
-    rows += [(f"  {name}", per * seconds, "ns/sample", None) for name, seconds in stages(recording).items()]
+    for path, seconds in reading.items():
+        speed = samples / (seconds + calibrating + analysing)
+        bar = SAMPLES_PER_S if path is first else None  # a text's digits alone take a third of what the bar allows
+        rows.append(Row(group, f"whole pipeline from {path.suffix[1:]}", speed, "samples/s", bar, higher=True))
+    objects = samples / (reading[first] + calibrating + as_objects)
+    rows.append(Row(group, "the same from parquet, strides and phases as objects", objects, "samples/s"))
     bare = bare_seconds(recording, found.calibrations)
-    rows.append(("  the same filters in a bare compiled loop", per * bare, "ns/sample", None))
-    rows.append(("analyse over bare loop", analysing / bare, "", BARE_RATIO))
-    trial = ROOT / "sim_inputs" / "both_feet_200hz.parquet"
-    rows.append(("fes --help", command_seconds("--help"), "s", HELP_S))
-    rows.append(("fes analyse, warm", command_seconds("analyse", trial, "--out", folder / "out"), "s", WARM_S))
+    parts = {f"read {path.suffix[1:]}": seconds for path, seconds in reading.items()}
+    parts |= {"calibrate": calibrating, "analyse": analysing, **stages(recording)}
+    parts["the same filters in a bare compiled loop"] = bare
+    rows += [Row(group, name, 1e9 * seconds / samples, per) for name, seconds in parts.items()]
+    rows.append(Row(group, "analyse over bare loop", analysing / bare, "", BARE_RATIO))
+    command = ("analyse", ROOT / "sim_inputs" / "both_feet_200hz.parquet", "--out", folder / "out")
+    rows.append(Row(start_up, "fes --help", command_seconds("--help"), "s", HELP_S))
+    rows.append(Row(start_up, "fes analyse, warm", command_seconds(*command), "s", WARM_S))
     if cold:
-        seconds = command_seconds("analyse", trial, "--out", folder / "out", repeats=1, cache=folder / "cache")
-        rows.append(("fes analyse, cold", seconds, "s", None))
-        environment = dict(os.environ) | {"XDG_CACHE_HOME": str(folder / "another_cache")}
-        command = [Path(sys.executable).with_name("fes"), "analyse", trial, "--out", folder / "out"]
+        seconds = command_seconds(*command, repeats=1, cache=folder / "cache")
+        rows.append(Row(start_up, "fes analyse, cold", seconds, "s"))
         begin = time.monotonic()
-        subprocess.run(command, env=environment, check=True, capture_output=True, cwd=ROOT)
-        rows.append(("fes analyse, cold, by the clock, all cores", time.monotonic() - begin, "s", None))
+        command_seconds(*command, repeats=1, cache=folder / "another_cache", cores=())
+        rows.append(Row(start_up, "fes analyse, cold, by the clock, all cores", time.monotonic() - begin, "s"))
     return rows
-
-
-def main() -> int:
-    """Measure, print, and say by the exit code whether every bar is met."""
-    parser = argparse.ArgumentParser(description="Speed of the analysis and of starting.")
-    parser.add_argument("--minutes", type=float, default=10.0, help="length of the recording")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--cold", action="store_true", help="also time the first run with an empty compiler cache")
-    given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        rows = measure(given.minutes, Path(folder), cold=given.cold)
-    table = Table("what", "figure", "unit", "bar", "met", title=f"Speed, {given.minutes:g} minutes of two feet")
-    missed = 0
-    for what, value, unit, bar in rows:
-        met = bar is None or (value >= bar if unit == "samples/s" else value <= bar)
-        missed += not met
-        table.add_row(
-            what, f"{value:,.4g}", unit, "" if bar is None else f"{bar:,.4g}", "" if bar is None else str(met)
-        )
-    Console().print(table)
-    if given.json:
-        fields = ("what", "value", "unit", "bar")
-        given.json.write_text(json.dumps([dict(zip(fields, row, strict=True)) for row in rows], indent=1), "utf-8")
-    return 1 if missed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,22 +1,16 @@
-"""How the analysis grows with the recording: time an hour and greatest memory of `fes analyse`, file to tables.
-
-    python benchmarks/speed/speed_growth.py [--hours 1 2 5 10]
-
-The walk of ``speed.py``, repeated; each length is a process of its own.
-"""
+"""How the analysis grows with the recording: time an hour and greatest memory of `fes analyse`, file to tables, each
+length in a process of its own."""
 
 from __future__ import annotations
 
-import argparse
 import sys
-import tempfile
 from pathlib import Path
 
 import pyarrow as pa
 from pyarrow import compute, parquet
 
 from benchmarks.speed.speed import one_walk, repeated
-from benchmarks.speed.speed_row import Row, print_rows
+from benchmarks.speed.speed_row import Row
 from benchmarks.speed.speed_session import spent_by
 from fes.recording import Recording, write_recording
 
@@ -66,16 +60,3 @@ def growth_rows(lengths: list[float], folder: Path) -> list[Row]:
         memory = spent[long].memory_mb / spent[short].memory_mb
         rows.append(Row(GROUP, f"memory, {long:.2g} h over {short:.2g} h", memory, "", BOUNDED))
     return rows
-
-
-def main() -> int:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, nargs="+", default=[1.0, 2.0, 5.0, 10.0])
-    given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        return print_rows(growth_rows(given.hours, Path(name)), "Growth")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,17 +1,13 @@
 """A live step: one sample's way from the gate that sees it, through estimator, phases, strides and plan, to commands.
 
-    python benchmarks/speed/speed_live.py
-
-The session is armed as by an operator and stimulates at full intensity, and the garbage collector is off, as it is in a
-live session (``fes/live/processes.py``). Mean and 99th percentile are by the clock, over the samples of one pass, the
-only one: what other programs did to it is in them. Beside the mean stands this process's processor time in another pass
-without a clock in between. Not part of a step: the driver's codec, the log, the stimulator's line.
+The session is armed and stimulates at full intensity, the garbage collector is off as in a live session. Mean and 99th
+percentile are by the clock, over the samples of one pass; beside the mean stands this process's processor time in
+another pass. Not part of a step: the driver's codec, the log, the stimulator's line.
 """
 
 from __future__ import annotations
 
 import gc
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.speed.speed_row import Row, print_rows
+from benchmarks.speed.speed import one_walk
+from benchmarks.speed.speed_row import Row
+from benchmarks.speed.speed_session import RATE_HZ, WALK_S, walk
 from fes.analysis.pipeline import calibrations_of
 from fes.config import load_session
 from fes.control.controller import Controller
@@ -66,9 +64,9 @@ def live_step(recording: Recording) -> LiveStep:
         return gate_of(session, up, shank_phase_sensors(found.calibrations)), Controller(session, found.calibrations)
 
     with _as_in_a_session():
-        taken_us = _clocked_us(events, *parts())[is_sample]
+        taken_us, strides, commands, on = _clocked_us(events, *parts())
         spent_s = _spent_s(events, *parts())
-    strides, commands, on = _counts(events, *parts())
+    taken_us = taken_us[is_sample]
     mean_us, p99_us = float(taken_us.mean()), float(np.percentile(taken_us, 99))
     samples = len(taken_us)
     return LiveStep(mean_us, p99_us, 1e6 * spent_s / samples, strides / samples, on / max(commands, 1))
@@ -100,6 +98,21 @@ def _as_in_a_session() -> Iterator[None]:
         gc.unfreeze()
 
 
+def _clocked_us(events: list[Event], gate: SafetyGate, controller: Controller) -> tuple[FloatArray, int, int, int]:
+    """What each event took; how many strides, commands, and commands with current there were."""
+    taken = np.zeros(len(events))
+    clock, strides, commands, on = time.perf_counter_ns, 0, 0, 0
+    for at, event in enumerate(events):
+        begin_ns = clock()
+        gate.observe(event)
+        decision = controller.step(event)
+        judged = [gate.judge(event.t_ns, request) for request in decision.requests]
+        taken[at] = clock() - begin_ns
+        strides += sum(isinstance(outcome, StrideResult) for outcome in decision.outcomes)
+        commands, on = commands + len(judged), on + sum(command.on for command in judged)
+    return 1e-3 * taken, strides, commands, on
+
+
 def _spent_s(events: list[Event], gate: SafetyGate, controller: Controller) -> float:
     begin_s = time.process_time()
     for event in events:
@@ -109,44 +122,8 @@ def _spent_s(events: list[Event], gate: SafetyGate, controller: Controller) -> f
     return time.process_time() - begin_s
 
 
-def _clocked_us(events: list[Event], gate: SafetyGate, controller: Controller) -> FloatArray:
-    taken = np.zeros(len(events))
-    clock = time.perf_counter_ns
-    for at, event in enumerate(events):
-        begin_ns = clock()
-        gate.observe(event)
-        for request in controller.step(event).requests:
-            gate.judge(event.t_ns, request)
-        taken[at] = clock() - begin_ns
-    return 1e-3 * taken
-
-
-def _counts(events: list[Event], gate: SafetyGate, controller: Controller) -> tuple[int, int, int]:
-    strides = commands = on = 0
-    for event in events:
-        gate.observe(event)
-        decision = controller.step(event)
-        strides += sum(isinstance(outcome, StrideResult) for outcome in decision.outcomes)
-        for request in decision.requests:
-            commands += 1
-            on += gate.judge(event.t_ns, request).on
-    return strides, commands, on
-
-
 def recordings() -> dict[str, Callable[[], Recording]]:
     """The walk of ``speed.py``, and two minutes of a virtual patient at 500 Hz."""
-    from benchmarks.speed.speed import one_walk
-    from benchmarks.speed.speed_session import RATE_HZ, WALK_S, walk
-
     first = one_walk()
     rate_hz = next(iter(first.tracks.values())).rate_hz
     return {f"2 × {rate_hz:.0f} Hz": lambda: first, f"2 × {RATE_HZ:.0f} Hz": lambda: walk(WALK_S / 3600.0)}
-
-
-def main() -> int:
-    """Measure and print."""
-    return print_rows(live_rows(recordings()), "A live step")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

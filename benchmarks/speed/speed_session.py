@@ -1,20 +1,15 @@
 """What an hour's session of two feet at 500 Hz leaves behind: the log's size and rate, the report's time and memory.
 
-    python benchmarks/speed/speed_session.py [--hours 1] [--keep FOLDER]
-
 A virtual patient's walk is repeated to the length and goes through the loop of a session (controller, gate, codec,
 simulated stimulator, log) on the recording's time. Times are processor times of the process that is measured.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.speed.speed import repeated
-from benchmarks.speed.speed_row import Row, print_rows
+from benchmarks.speed.speed_row import Row
 from drivers.simulated.stimulator.in_process import InProcessStimulator
 from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import load_session
@@ -163,20 +158,3 @@ def session_rows(hours: float, folder: Path) -> list[Row]:
         Row("session", "fes report, memory", report.memory_mb, "MB"),
         Row("session", "fes report, its file", 1e-6 * (folder / "report.html").stat().st_size, "MB"),
     ]
-
-
-def main() -> int:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--keep", type=Path, help="leave log and report in this folder")
-    given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        rows = session_rows(given.hours, Path(name))
-        if given.keep:
-            shutil.copytree(name, given.keep, dirs_exist_ok=True)
-    return print_rows(rows, "A session")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

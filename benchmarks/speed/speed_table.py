@@ -1,12 +1,8 @@
 """One table of speed: the user's road, stages, start-up, a live step, growth, an hour's session, a cohort, peers.
 
-    make bench                                             (both environments, then this with --keep)
-    python benchmarks/speed/speed_table.py --quick   everything shorter: a few minutes
-    python benchmarks/speed/speed_table.py --keep    also into benchmarks/results/, a file a part, for `make figures`
+    make bench                                       both environments, then this with --keep: a result a part
 
-The user's road goes by the clock, in one pass. Other times are processor times, the least of several, so that other
-programs disturb them little; what counts by the clock says so. Peers run in an environment of their own (`make
-peers`). The exit code is 1 if a bar is missed.
+Peers run in an environment of their own (`make peers`). The exit code is 1 if a bar is missed.
 """
 
 from __future__ import annotations
@@ -39,7 +35,6 @@ PARTS = ("road", "analysis", "live", "peers", "growth", "session", "cohort")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print, save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--only", nargs="+", choices=PARTS, default=PARTS, help="parts to measure; the rest is left out"
@@ -60,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
         quick = given.quick
         measured: dict[str, Callable[[Path], list[Row]]] = {
             "road": lambda folder: speed.road_rows(1.0 if quick else 10.0, folder),
-            "analysis": lambda folder: analysis_rows(1.0 if quick else 10.0, folder, cold=not quick),
+            "analysis": lambda folder: speed.measure(1.0 if quick else 10.0, folder, cold=not quick),
             "live": lambda _: live_rows(recordings()),
             "peers": lambda _: peer_rows(speed.one_walk(), given.peers, live_step(speed.one_walk()).mean_us),
             "growth": lambda folder: growth_rows([0.2, 0.6] if quick else [1.0, 2.0, 5.0, 10.0], folder),
@@ -123,20 +118,6 @@ def machine(others: float) -> str:
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     told = f"{platform.machine()}, {processors} processors, {platform.system()}, Python {platform.python_version()}"
     return f"{told}; other programs took {others:.2f} of them{', so a BUSY machine' if others > BUSY else ''}"
-
-
-def analysis_rows(minutes: float, folder: Path, *, cold: bool) -> list[Row]:
-    """The rows of ``speed.py``, by group."""
-    measured = speed.measure(minutes, folder, cold=cold)
-    return [
-        Row(group_of(what, minutes), what.strip(), value, unit, bar, higher=unit == "samples/s")
-        for what, value, unit, bar in measured
-    ]
-
-
-def group_of(what: str, minutes: float) -> str:
-    """Where a figure of ``speed.py`` belongs."""
-    return "start-up" if what.startswith("fes ") else f"analysis of {minutes:g} minutes of two feet"
 
 
 def result_of(script: str, rows: list[Row], machine: str) -> Result:

@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fes
+from benchmarks.lib.real_sets import bundled_cases
 from fes.estimation.zupt.detectors import Detector
 from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.simulation.truth import load_truth
@@ -62,7 +63,6 @@ import sys
 
 sys.path.append(str(Path("../..").resolve()))
 from benchmarks.accuracy import events
-from benchmarks.lib.event_cases import bundled_cases
 
 cases = [case for case in bundled_cases() if case.name == "bundled both_feet_100hz"]
 results = {method: events.score(cases[0].name, cases, method) for method in events.METHODS}

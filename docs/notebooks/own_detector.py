@@ -14,10 +14,10 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 import fes
+from benchmarks.lib.real_sets import bundled_cases
 
 sys.path.append(str(Path("../..").resolve()))
 from benchmarks.accuracy import events
-from benchmarks.lib.event_cases import bundled_cases
 
 # %%
 FAST = 0.5  # of the turning rate that only a twentieth of the samples exceeds

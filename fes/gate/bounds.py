@@ -1,7 +1,7 @@
 """What the gate knows of one sensor, as one record: its bounds with unit and reason, its place, its state; and words.
 
 "real" is the farthest that any real recording went, so the bound's distance from gait
-(``benchmarks/safety/coherence.py``, ``benchmarks/safety/plausibility.py``, docs/safety.md). The compiled judge gives a
+(``benchmarks/safety/gate_faults.py``, docs/safety.md). The compiled judge gives a
 code; words are made of it only when something is to be said.
 """
 

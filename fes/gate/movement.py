@@ -1,7 +1,7 @@
 """A coarse check apart from controller and plan: no burst on a foot that rests, none over more swings than one has.
 
 It knows no phase and no calibration, only how fast the sensor that times the channel turns, and it may only forbid. The
-constants are its own; ``benchmarks/safety/coarse_check.py`` holds them against every real walk there is
+constants are its own; ``benchmarks/safety/gate_faults.py`` holds them against every real walk there is
 (docs/safety.md).
 What a person asks for, a burst by hand or one of an exercise, goes by that person's word and not by the foot: one burst
 for each time of asking, and no longer than such a burst lasts.

@@ -1,7 +1,7 @@
 """Can these numbers come from this sensor, on this foot, mounted as it was? Axes, units, range, mounting, coherence.
 
 Every bound was held against real recordings (docs/safety.md): gait never comes near them.
-``benchmarks/safety/wrong_unit.py`` shows how soon a wrong unit or exchanged axes are found, and on how many real
+``benchmarks/safety/gate_faults.py`` shows how soon a wrong unit or exchanged axes are found, and on how many real
 recordings they are found wrongly. The judge is compiled: a sensor's record in, a code out; words, and the lie each rule
 is for: :mod:`fes.gate.bounds`.
 """

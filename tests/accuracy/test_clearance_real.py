@@ -74,7 +74,7 @@ class TestMarkers:
 @pytest.mark.parametrize("patient", ["MR08", "MR11"])
 @pytest.mark.parametrize("foot", ["left_foot", "right_foot"])
 def test_runs_of_one_patient_give_the_same_geometry(benchmark: ModuleType, patient: str, foot: str) -> None:
-    runs = importlib.import_module("benchmarks.accuracy.stroke_treadmill")
+    runs = importlib.import_module("benchmarks.lib.real_sets")
     found: list[EstimatedGeometry] = []
     for path in sorted((DATA / "stroke_treadmill").glob(f"{patient}_*.npz")):
         tracks, _ = runs.load_run(path)

@@ -51,7 +51,7 @@ def test_two_raters_marked_the_same_swings(benchmark: ModuleType) -> None:
     pairs = {foot: benchmark.paired(a[foot], b[foot]) for foot in a}
     assert {foot: len(same) for foot, same in pairs.items() if len(same) < len(a[foot])} == {("S22", "right"): 19}
     assert all(len({id(second) for _, second in same}) == len(same) for same in pairs.values())
-    apart = benchmark.between_raters([foot for foot in a if foot != benchmark.DRAGGED], TOGETHER)
+    apart = benchmark.between_raters([foot for foot in a if foot != benchmark.DRAGGED])
     assert [round(each.within) for each in apart] == [99, 100, 100, 97]
 
 

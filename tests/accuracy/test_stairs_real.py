@@ -25,7 +25,7 @@ SAME_SWING_NS = 150_000_000
     reason=f"no gaitmap_walk in {DATA}; set FES_DATA to the folder that holds it",
 )
 def test_every_stride_up_the_stairs_is_skipped() -> None:
-    walk = importlib.import_module("benchmarks.accuracy.hemiparetic_walks").stairs(DATA)
+    walk = importlib.import_module("benchmarks.lib.real_sets").stairs(DATA)
     live_strides = importlib.import_module("benchmarks.accuracy.inclines").live_strides
     climbed = [
         (stride.foot, stride.t_swing_ns)

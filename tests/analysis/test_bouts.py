@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
@@ -11,12 +14,11 @@ import pytest
 from click.testing import CliRunner
 
 import fes
-from benchmarks.accuracy.long_day import rows_of, score
-from benchmarks.accuracy.stroke_treadmill import data_folder
-from benchmarks.accuracy.virtual_day import write_day
+from benchmarks.lib.real_sets import data_folder
 from fes.analysis.bouts import LENGTHS_S, Bout, Stride, bout_tables, bouts_of, kept_of
 from fes.cli import main
 from fes.signals import StrideResult
+from tests.analysis.virtual_day import TrueDay, write_day
 
 
 def strides(count: int, begin_s: float = 0.0, turn_deg: float = 0.0, rise_m: float = 0.0) -> list[Stride]:
@@ -87,6 +89,86 @@ def test_bouts_are_counted_by_their_length() -> None:
     made = strides(10) + strides(50, 100.0) + strides(150, 200.0)
     counts = {row["length"]: row["bouts"] for row in bout_tables(bouts_of(made))["bouts_by_length"]}
     assert counts == dict(zip(LENGTHS_S, (3, 1, 2, 1, 1), strict=True))
+
+
+Rows = list[dict[str, str]]
+TERRAIN = {kind: f"stairs_{kind}" for kind in ("up", "down")}
+RELAXED_S = 1.5  # about a change of terrain a stride is on both
+
+
+@dataclass(frozen=True)
+class Score:
+    true_bouts: int
+    bouts: int
+    recall: float
+    precision: float
+    true_turns: int
+    turns: int
+    missed_turns: int
+    turn_errors_rad: np.ndarray
+    terrain_right: float
+    stray_strides: int  # whose middle lies in nothing that is walking
+
+
+def rows_of(folder: Path, name: str) -> Rows:
+    with (folder / f"{name}.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def score(truth: TrueDay, folder: Path) -> Score:
+    """Of the tables that the command wrote."""
+    found = spans(rows_of(folder, "bouts"))
+    true = [(bout.begin_s, bout.end_s) for bout in truth.bouts]
+    turns = [(*span, float(row["angle_rad"])) for row, span in with_spans(rows_of(folder, "turns"))]
+    errors, missed = [], 0
+    true_turns = [turn for bout in truth.bouts for turn in bout.turns]
+    for turn in true_turns:
+        near = max(turns, key=lambda one: overlap(one, (turn.begin_s, turn.end_s)), default=(0.0, 0.0, 0.0))
+        if overlap(near, (turn.begin_s, turn.end_s)) > 0.0:
+            errors.append(near[2] - turn.angle_rad)
+        else:
+            missed += 1
+    stretches = [(span, row["terrain"]) for row, span in with_spans(rows_of(folder, "terrain"))]
+    right = []
+    for bout in truth.bouts:
+        for begin, end, kind in bout.terrain:
+            for t in np.arange(begin + RELAXED_S, end - RELAXED_S, 0.5):
+                right += [name == TERRAIN.get(kind, kind) for span, name in stretches if span[0] <= t <= span[1]][:1]
+    middles = [0.5 * (float(row["t_start_s"]) + float(row["t_end_s"])) for row in rows_of(folder, "strides")]
+    stray = sum(not any(begin - 1.0 <= t <= end + 1.0 for begin, end in true) for t in middles)
+    return Score(
+        len(true),
+        len(found),
+        share(covered(one, found) for one in true),
+        share(covered(one, true) for one in found),
+        len(true_turns),
+        len(turns),
+        missed,
+        np.array(errors),
+        share(right),
+        stray,
+    )
+
+
+def spans(rows: Rows) -> list[tuple[float, float]]:
+    return [span for _, span in with_spans(rows)]
+
+
+def with_spans(rows: Rows) -> list[tuple[dict[str, str], tuple[float, float]]]:
+    return [(row, (float(row["begin_s"]), float(row["end_s"]))) for row in rows]
+
+
+def overlap(one: tuple[float, ...], other: tuple[float, float]) -> float:
+    return max(0.0, min(one[1], other[1]) - max(one[0], other[0]))
+
+
+def covered(one: tuple[float, float], others: Iterable[tuple[float, float]]) -> bool:
+    return any(overlap(one, other) > 0.5 * (one[1] - one[0]) for other in others)
+
+
+def share(values: Iterable[bool]) -> float:
+    listed = list(values)
+    return sum(listed) / len(listed) if listed else float("nan")
 
 
 def analysed(path: Path, folder: Path) -> Path:

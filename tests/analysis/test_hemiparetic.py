@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import json
 import math
 import os
@@ -17,10 +16,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stepping_feet import Steps, calibration, stepping
 
+from benchmarks.lib.real_sets import load_run
+from benchmarks.lib.swing_judge import mid_swings
 from fes.analysis.hemiparetic import windows as w
 from fes.analysis.hemiparetic.foot import common_times, foot_of, in_visualization_frame, tracked, visualization_frame
 from fes.analysis.hemiparetic.sync import Samples, offset
-from fes.analysis.hemiparetic.walk import Power, Terrain, hemiparetic_walk, paretic_side, terrain
+from fes.analysis.hemiparetic.walk import (
+    Power,
+    Terrain,
+    feet_of,
+    hemiparetic_walk,
+    paretic_side,
+    terrain,
+    windows_of,
+)
 from fes.analysis.hemiparetic.windows import mapped
 from fes.analysis.parameters.gait import Statistic
 from fes.analysis.pipeline import analyse, calibrations_of, uneven_strides
@@ -386,12 +395,22 @@ RUN = DATA / "stroke_treadmill" / "MR05_FBIC.npz"
 
 @pytest.mark.skipif(not RUN.is_file(), reason="the stroke-treadmill recordings are not here (FES_DATA)")
 def test_strides_and_speed_of_a_stroke_survivor():
-    bench = importlib.import_module("benchmarks.accuracy.hemiparetic")
-    feet, side, ground = bench.stroke_run(RUN)
-    for foot in feet:
-        assert foot.off("own") <= 0.01
-        assert foot.off("parameters") <= 0.01
-        assert foot.off("printed") > 0.5  # the printed threshold finds nothing on a treadmill
-        assert foot.belt_ratio["parameters"] == pytest.approx(1.0, abs=0.01)
-    assert side.told == "right"
-    assert ground.up == ground.down == 0
+    """Own strides are as many as the mid-swings, and as fast as the belt; the printed threshold finds next to none."""
+    tracks, belt_mps = load_run(RUN)
+    result = analyse(Recording(RUN.stem, None, tracks, belt_speed_mps=belt_mps))
+    walk = hemiparetic_walk(result)
+    try:
+        printed = windows_of(feet_of(result), "left_foot", w.THRESHOLD_M2PS4).tracks
+    except ValueError:
+        printed = {}
+    for foot, track in tracks.items():
+        swings = len(mid_swings(track.gyr_radps[:, 1], track.rate_hz))
+        rows = walk.parameters.strides[foot]
+        assert sum(s.foot == foot for s in result.strides) == pytest.approx(swings, abs=2)
+        assert len(rows) == pytest.approx(swings, abs=2)
+        assert foot not in printed or len(printed[foot].windows) < 0.5 * swings
+        late = rows[(rows["t_start_s"] >= track.duration_s - 120.0) & np.isfinite(rows["stride_time_s"])]
+        speed_mps = late["stride_length_common_m"].sum() / late["stride_time_s"].sum()
+        assert speed_mps / belt_mps == pytest.approx(1.0, abs=0.01)
+    assert walk.side.side == "right"
+    assert all(kind is Terrain.LEVEL for found in walk.terrain.values() for kind in found.values())

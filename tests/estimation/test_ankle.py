@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from shank_walks import ShankWalk, shank_walk
 
-from benchmarks.accuracy.ankle import shank_strides
+from benchmarks.accuracy.shank_phases import shank_strides
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
 from fes.estimation.shank.lever_arm import ANKLE, ARM_BOUNDS_M, SHANK, ArmEstimate, ArmPrior, learn_arm

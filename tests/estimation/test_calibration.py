@@ -413,7 +413,7 @@ BRISK = DATA / "stroke_treadmill" / "MR02_FBIC.npz"
 @pytest.mark.parametrize("more_mps2", [-0.02, 0.02])
 def test_a_bias_a_little_off_does_not_strand_the_phases(more_mps2: float) -> None:
     """A brisk foot that hardly rests: with most biases the machine got lost in loading response, for up to 27 s."""
-    track = importlib.import_module("benchmarks.accuracy.stroke_treadmill").load_run(BRISK)[0]["right_foot"]
+    track = importlib.import_module("benchmarks.lib.real_sets").load_run(BRISK)[0]["right_foot"]
     found = calibrate_track(track)
     x, y, z = (np.array(found.acc_bias_mps2) + more_mps2 * np.array(found.up)).tolist()
     spent = loading_responses_s(track, replace(found, acc_bias_mps2=(x, y, z)))

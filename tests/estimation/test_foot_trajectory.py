@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from test_zupt import STRIDE_M, rests, walk
 
-from benchmarks.accuracy.zupt_reference import add_noise as add_sample_noise
-from benchmarks.accuracy.zupt_reference import predict as predict_sample
-from benchmarks.accuracy.zupt_reference import zupt_path
 from fes.analysis.stride_fusion import SETTINGS
 from fes.estimation.zupt import foot_trajectory
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, interval_noise, predict, propagate_error, spread_noise
@@ -16,6 +13,9 @@ from fes.estimation.zupt.decimation import ZuptSettings, gather, gather_interval
 from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.estimation.zupt.smoother import _propagate_back
 from fes.signals import G_MPS2, FloatArray
+from tests.estimation.zupt_reference import add_noise as add_sample_noise
+from tests.estimation.zupt_reference import predict as predict_sample
+from tests.estimation.zupt_reference import zupt_path
 
 NO_BIAS = (0.0, 0.0, 0.0)
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from benchmarks.accuracy.given_borders import NO_BIASES, quietest_near, solve_stride
+from benchmarks.accuracy.stride_length import NO_BIASES, quietest_near, solve_stride
 from fes.config import FootGeometry
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.integration import double_integral, effects, integrate, orient

@@ -8,17 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.zupt_reference import (
-    Tape,
-    ZuptPath,
-    add_noise,
-    forward,
-    new_tape,
-    predict,
-    propagate_one,
-    smooth,
-    zupt_path,
-)
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, update
 from fes.estimation.zupt.decimation import ZuptSettings
 from fes.estimation.zupt.detectors import Detector, rate_energy
@@ -33,6 +22,17 @@ from fes.estimation.zupt.thresholds import (
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray
 from fes.simulation.truth import load_truth
+from tests.estimation.zupt_reference import (
+    Tape,
+    ZuptPath,
+    add_noise,
+    forward,
+    new_tape,
+    predict,
+    propagate_one,
+    smooth,
+    zupt_path,
+)
 
 SIMULATED = Path(__file__).resolve().parents[2] / "sim_inputs"
 UP = np.array([0.0, 0.0, G_MPS2])

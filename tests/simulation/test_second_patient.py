@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from benchmarks.lib.event_cases import data_folder
-from benchmarks.lib.real_sets import stroke_feet
+from benchmarks.lib.real_sets import data_folder, stroke_feet
 from benchmarks.loop import closed_loop_walk, second_patient, tuning_cohort
 
 

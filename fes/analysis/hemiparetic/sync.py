@@ -38,7 +38,7 @@ KNOCK_HZ = 100.0
 KNOCK_MPS2 = 4.0  # rms over 20 ms: nothing that a standing foot does by itself
 KNOCK_CLEAR = 0.7
 LEAST_KNOCKS = 3  # a single jolt may be a first step that was not seen as one
-EXPECTED_S = {"knocks": 0.01, "jolts": 0.12, "halves": 0.2}  # the largest seen, see benchmarks/accuracy/hemiparetic.py
+EXPECTED_S = {"knocks": 0.01, "jolts": 0.12, "halves": 0.2}  # the largest seen
 SURE = 0.8  # the runner-up's
 
 
@@ -58,7 +58,7 @@ class Offset:
     offset_s: float
     method: str  # "knocks", "jolts" (walking, refined by the other foot's landings) or "halves" (walking alone)
     runner_up: float  # spread of the pairing found over that of the best other one, 0 (certain) … 1 (a guess)
-    expected_s: float  # how far off it may be; see benchmarks/accuracy/hemiparetic.py for what was measured
+    expected_s: float  # how far off it may be
     sure: bool  # whether the stride was told clearly
 
 

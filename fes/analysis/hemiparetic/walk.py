@@ -1,8 +1,8 @@
 """A hemiparetic walk from both feet: the paretic side, level ground or stairs, and Wang et al.'s (2013) windows.
 
-The figures to go by are those of :mod:`fes.analysis.parameters`, from the project's own strides:
-``benchmarks/accuracy/hemiparetic.py`` shows that they count strides and measure speed better than the windows. These,
-and the reconstruction that rests on them, are there for comparison with the paper and for its picture of both feet.
+The figures to go by are those of :mod:`fes.analysis.parameters`, from the project's own strides, which count and
+measure better than the windows: these were made for feet that come to rest on a floor. They, and the reconstruction
+that rests on them, are there for comparison with the paper and for its picture of both feet.
 
 *Level, stairs up, stairs down*, stride by stride: the paper's Figure 4 shows that they differ, and gives no rule. Here
 it is the height gained from stance to stance: half of the lowest usual riser (building codes: 15 cm and more) is beyond

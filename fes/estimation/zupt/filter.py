@@ -15,7 +15,7 @@ the velocity of a foot in stance is a measurement. Departures and additions:
   swing an inertial sensor reads like one at rest. Should it last, or nothing be measured for long, the filter is lost
   instead; its uncertainty grows by what it was wrong, and it takes the measurement;
 - the covariance goes from interval to interval (:mod:`fes.estimation.zupt.decimation`), and velocity is measured once
-  an interval. ``benchmarks/accuracy/zupt_reference.py`` is the same filter from sample to sample, to check against.
+  an interval. ``tests/estimation/zupt_reference.py`` is the same filter from sample to sample, to check against.
 """
 
 import math

@@ -4,14 +4,11 @@ beside it, a foot swings from print to print and rolls over heel and toe; what a
 
 Figures of gait are textbook ones (Winter 2009; Perry & Burnfield 2010): stance 60 % of a stride, the foot 20° toe-up at
 contact, 62° toe-down after foot off, a stair of 0.17 by 0.29 m; bicycle cranks of 0.17 m.
-
-    python benchmarks/accuracy/virtual_day.py FILE.parquet [--hours 24] [--seed 1]
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -357,16 +354,3 @@ def write_day(
         f'time_column = "t_ns"\ntime_unit = "ns"\n{sensors}'
     )
     return truth
-
-
-if __name__ == "__main__":
-    import argparse
-
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args()
-    made = write_day(asked.file, asked.hours, asked.seed)
-    strides = sum(len(own) for bout in made.bouts for own in bout.strides.values())
-    sys.stdout.write(f"{len(made.bouts)} bouts, {strides} strides\n")

@@ -4,7 +4,7 @@ Controller, gate, operator, monitor, runner, source and the log's encoder are th
 collection is frozen as there. Sensors, stimulator, keys and the log's file are stand-ins; two feet at 500 Hz walk and
 stand in turn, the operator arms once a minute, ends a pause, raises the intensity.
 
-    python benchmarks/speed/live_memory.py --minutes 60
+    python tests/live/live_memory.py --minutes 60
 """
 
 from __future__ import annotations

@@ -1,0 +1,226 @@
+"""The lines of the accuracy table, made from errors in the same way for us and every peer; its bars; and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+OURS = "fes"
+CAUSAL, OFFLINE = "causal", "off-line"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one quantity of one data set; all numbers in ``unit``, NaN where there is none.
+
+    ``bias`` is the mean error, ``sd`` the spread about it, ``worst`` the greatest absolute error, ``recall`` the share
+    (0–1) of what the reference holds that the method found. ``causal`` numbers are known at the latest when the stride
+    (for an event: the event) is over. ``note`` says why a method has no numbers, or what the numbers do not show.
+    """
+
+    data_set: str
+    quantity: str
+    unit: str
+    method: str
+    known: str
+    n: int = 0
+    bias: float = float("nan")
+    sd: float = float("nan")
+    rmse: float = float("nan")
+    worst: float = float("nan")
+    recall: float = float("nan")
+    bar: str = ""
+    bar_met: bool | None = None
+    note: str = ""
+
+    @property
+    def ours(self) -> bool:
+        """Whether the method is of this project."""
+        return self.method.startswith(OURS)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, None instead of NaN."""
+        return {key: None if isinstance(v, float) and v != v else v for key, v in asdict(self).items()}
+
+
+def row_of(
+    data_set: str,
+    quantity: str,
+    unit: str,
+    method: str,
+    known: str,
+    errors: npt.ArrayLike,
+    recall: float = float("nan"),
+) -> Row:
+    """The row of errors (estimate − truth) in ``unit``; those that are not finite do not count."""
+    e = np.asarray(errors, dtype=float).ravel()
+    e = e[np.isfinite(e)]
+    if len(e) == 0:
+        return Row(data_set, quantity, unit, method, known, recall=recall, note="nothing found")
+    sd = float(e.std(ddof=1)) if len(e) > 1 else float("nan")
+    bias, rmse, worst = float(e.mean()), float(np.sqrt((e**2).mean())), float(np.abs(e).max())
+    return Row(data_set, quantity, unit, method, known, len(e), bias, sd, rmse, worst, recall)
+
+
+# --- bars: what each quantity should reach, for every method alike, with one default setting --------------------------
+
+LENGTH_GIVEN, LENGTH_OWN = "stride length, reference borders", "stride length, own detection"
+LIFT_GIVEN, LIFT_OWN = "sensor lift, reference borders", "sensor lift, own detection"
+LIFT_ARM = "lift, own detection, marker's lever arm fitted"
+BELT, BELT_OWN = "speed over belt, per foot", "speed over belt, per foot, own detection"
+SHANK_BELT = "speed over belt, per shank"
+PHASES = "four phases in order"
+STRIKE = "foot-strike angle, mean of a run"
+INCLINATION, PITCH = "inclination in motion, RMSE of a trial", "pitch of the foot, RMSE of a trial"
+TOE, HEEL = "toe clearance, own detection", "heel clearance, own detection"
+CLOSURE = "closure of a loop"
+PATH = "path over the ground, RMS after fitting place and direction"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar in words, and whether a row reaches it."""
+
+    words: str
+    reached: Callable[[Row], bool]
+
+
+def _rmse(most: float, unit: str) -> Bar:
+    return Bar(f"RMSE ≤ {most:g} {unit}", lambda row: row.rmse <= most)
+
+
+_SPEED = Bar(
+    "mean 99.7–100.3 %, SD ≤ 0.6, worst ≤ 1.5",
+    lambda row: abs(row.bias) <= 0.3 and row.sd <= 0.6 and row.worst <= 1.5,
+)
+_CLEARANCE = Bar("|mean| ≤ 0.3, SD ≤ 0.6 cm", lambda row: abs(row.bias) <= 0.3 and row.sd <= 0.6)
+
+BARS: dict[tuple[str, str], Bar] = {
+    ("gaitmap_walk", LENGTH_GIVEN): _rmse(1.5, "cm"),
+    ("gaitmap_walk", LIFT_GIVEN): _rmse(0.35, "cm"),
+    ("gaitmap_walk", LENGTH_OWN): Bar("RMSE ≤ 1.8 cm, all found", lambda row: row.rmse <= 1.8 and row.recall >= 1.0),
+    ("gaitmap_walk", TOE): _CLEARANCE,
+    ("gaitmap_walk", HEEL): _CLEARANCE,
+    ("gaitmap_walk", "IC time"): Bar(
+        "|mean| ≤ 5, SD ≤ 7 ms, recall ≥ 99 %", lambda row: abs(row.bias) <= 5 and row.sd <= 7 and row.recall >= 0.99
+    ),
+    ("gaitmap_walk", "FO time"): Bar(
+        "|mean| ≤ 5, SD ≤ 4 ms, recall ≥ 99 %", lambda row: abs(row.bias) <= 5 and row.sd <= 4 and row.recall >= 0.99
+    ),
+    ("pyshoe_vicon", LENGTH_GIVEN): _rmse(1.5, "cm"),
+    ("pyshoe_vicon", LENGTH_OWN): _rmse(1.5, "cm"),
+    ("pyshoe_vicon", LIFT_ARM): Bar("SD ≤ 0.8 cm", lambda row: row.sd <= 0.8),
+    ("ruler_walks", LENGTH_GIVEN): _rmse(1.7, "cm"),
+    ("ruler_walks", LENGTH_OWN): _rmse(1.7, "cm"),
+    ("stroke_treadmill", BELT): _SPEED,
+    ("stroke_treadmill", BELT_OWN): _SPEED,
+    ("stroke_treadmill", SHANK_BELT): Bar(
+        "mean 98–102 %, worst ≤ 8", lambda row: abs(row.bias) <= 2.0 and row.worst <= 8.0
+    ),
+    ("broad", INCLINATION): _rmse(0.7, "°"),
+}
+
+
+def with_bar(row: Row) -> Row:
+    """The row, judged where its quantity has a bar and nothing else has judged it."""
+    bar = BARS.get((row.data_set, row.quantity))
+    if bar is None or row.bar or row.n == 0:
+        return row
+    return replace(row, bar=bar.words, bar_met=bool(bar.reached(row)))
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+
+HEAD = ("method", "known", "n", "bias", "SD", "RMSE", "worst", "recall", "met", "note")
+PREAMBLE = """# Accuracy, ours and others'
+
+Made by `make bench-accuracy` from the recordings in `$FES_DATA` or `../shared/data`; do not edit.
+
+One default setting everywhere. Errors are estimate − truth; worst is the greatest absolute error; recall is the share
+of what the reference holds that was found, n what the errors were counted on. *causal*: known at the latest when the
+stride or event is over; *off-line*: the method looks at the whole recording.
+
+*Reference borders* are those of the data set. Not all methods end a stride at exactly these instants: our two stride
+solvers move each border to the quietest instant within 50 ms, and are held against the truth between the moved borders;
+our ZUPT filter and the peers stay at the given ones, and are held against the truth there. So that one comparison is
+like for like, three peers are also run between the borders that our solver chose, against the same truth: the rows
+*our ends*. The strides that count are the same for all: those that the reference disputes, shuffles under 0.3 m and its
+glitches are left out. But our solvers leave out some more, which they call invalid or which lie outside the walking
+that the phase machine saw; n and recall show it.
+
+*Own detection*: the reference is asked at the ends that each method found itself, and the strides it did not find show
+in the recall alone. On the treadmill, where no reference borders exist, peers get those that our tracker found; `own
+detection` is a peer's own.
+
+Peers run with the defaults of their documentation, and all get axes x forward, y left, z up and a gyroscope free of the
+bias found in a standing second, which is more help than our own methods get. What they do and where that departs from
+their documentation stands in `benchmarks/peers/`. The figures of our own methods are in-sample as docs/accuracy.md
+says: their constants were chosen with these recordings at hand.
+"""
+
+
+def in_order(rows: list[Row]) -> list[Row]:
+    """By data set and quantity, the least error first, what did not run last."""
+    last = float("inf")
+
+    def key(row: Row) -> tuple[str, str, float, str]:
+        size = row.rmse if row.rmse == row.rmse else abs(row.bias)
+        return row.data_set, row.quantity, size if size == size else last, row.method
+
+    return sorted(rows, key=key)
+
+
+def cells(row: Row) -> list[str]:
+    """One row as text, under `HEAD`."""
+
+    def number(value: float, sign: str = "") -> str:
+        return "–" if value != value else f"{value:{sign}.2f}"
+
+    recall = "–" if row.recall != row.recall else f"{100 * row.recall:.1f} %"
+    met = "" if row.bar_met is None else ("yes" if row.bar_met else "no")
+    errors = [number(row.bias, "+"), number(row.sd), number(row.rmse), number(row.worst)]
+    return [row.method, row.known, str(row.n), *errors, recall, met, row.note]
+
+
+def groups(rows: list[Row]) -> list[list[Row]]:
+    """Rows of one quantity of one data set each, in the order they come."""
+    return [list(group) for _, group in groupby(rows, lambda row: (row.data_set, row.quantity))]
+
+
+def bar_of(group: list[Row]) -> str:
+    """The bar of a quantity in words, empty where it has none."""
+    return next((row.bar for row in group if row.bar), "")
+
+
+def verdicts(rows: list[Row]) -> list[str]:
+    """Of every bar, which of our methods meet it."""
+    lines = []
+    for group in groups(rows):
+        judged = [row for row in group if row.ours and row.bar_met is not None]
+        if judged:
+            met = ", ".join(f"{row.method} ({row.known})" for row in judged if row.bar_met)
+            verdict = f"met by {met}" if met else "NOT MET by any of our methods"
+            lines.append(f"{group[0].data_set}, {group[0].quantity}: {bar_of(group)}: {verdict}")
+    return lines
+
+
+def markdown(rows: list[Row], notes: list[str]) -> str:
+    """The page for docs/."""
+    parts = [PREAMBLE, *(f"\n{note}\n" for note in notes), "\n## The bars\n\n"]
+    parts += [f"- {line}\n" for line in verdicts(rows)]
+    for data_set, of_set in groupby(rows, lambda row: row.data_set):
+        parts.append(f"\n## {data_set}\n")
+        for group in groups(list(of_set)):
+            bar = bar_of(group)
+            parts.append(f"\n### {group[0].quantity} ({group[0].unit})\n\n" + (f"Bar: {bar}.\n\n" if bar else ""))
+            parts.append("| " + " | ".join(HEAD) + " |\n|" + " --- |" * len(HEAD) + "\n")
+            for row in group:
+                texts = cells(row)
+                texts[0] = f"**{texts[0]}**" if row.ours else texts[0]
+                parts.append("| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |\n")
+    return "".join(parts)
