@@ -276,7 +276,7 @@ LONG: dict[str, Sequence[str]] = {
         for part in ("road", "analysis", "live", "peers", "growth", "session", "cohort")
     },
 }
-ELSEWHERE = {"hil": "make hil"}  # hours, by a command of its own
+ELSEWHERE = {"hil": "make hil", "speed-live-minimal": "make minimal"}  # hours, or an environment, of its own
 
 
 def main() -> int:

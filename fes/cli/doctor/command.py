@@ -23,7 +23,7 @@ import click
 from fes.cli.common.exits import FAILED
 from fes.cli.common.options import PATH, Number, cannot_be_seen, not_there
 from fes.config import ConfigError, Session, load_session, refuse_blind_targets
-from fes.estimation.warm_up import warm_up
+from fes.estimation.warm_up import COMPILES, NOT_COMPILED, warm_up
 from fes.live.realtime import Grant, fixed_priority, locked_memory
 from fes.session_log import SessionLogError
 from fes.session_log.writer import SessionWriter
@@ -200,6 +200,8 @@ def compiled() -> Finding:
     began_s = time.perf_counter()
     warm_up()
     took_s = time.perf_counter() - began_s
+    if NOT_COMPILED:
+        return warning("compiled code", NOT_COMPILED, COMPILES)
     if took_s > COMPILED_S:
         return ok("compiled code", f"was compiled now, in {took_s:.0f} s; the next start is quicker")
     return ok("compiled code", f"warm in {took_s:.1f} s")

@@ -12,7 +12,16 @@ from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import ANSWER_WITHIN_NS, StimulatorLost
 from fes.calibration.recording import SensorCalibrations
-from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
+from fes.cli.common.exits import (
+    FAILED,
+    LOG_SUFFIX,
+    Problem,
+    StoppedEarly,
+    failing,
+    fresh_folder,
+    interrupted,
+    need_extra,
+)
 from fes.cli.common.options import PATH, Number, choice, given_options, out_option, utc_now
 from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show, show_latched
@@ -140,6 +149,7 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     if options.stimulator == "bus":
         refuse_what_a_person_does(options)
     if recording.suffix != LOG_SUFFIX:
+        need_extra("analysis")
         replay_recording(recording, options)
         return
     refuse_settings_of_a_recording(*(("speed", "out", "dashboard_port") if options.dashboard else ()))
