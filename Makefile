@@ -5,11 +5,12 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 DOCS := .venv-docs
 WHEEL := .venv-wheel
+MINIMAL := .venv-minimal
 PYTHONS ?= python3.11 python3.12 python3.13
 
 .DEFAULT_GOAL := help
 .PHONY: help hil demo test test-slow test-live lint format bench bench-accuracy figures figures-check figures-all peers nightly mutants hazards docs docs-site trials lock \
-  wheel-test test-pythons clean
+  minimal wheel-test test-pythons clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
@@ -17,6 +18,7 @@ help:
 	@echo "make test-slow  the tests that take longer"
 	@echo "make test-live  live sessions and simulated devices as processes, against their deadlines"
 	@echo "make wheel-test  the built wheel in an empty environment, outside the checkout: demo, simulate, analyse, hil"
+	@echo "make minimal  a live session in an environment without any extra: how large that is, and how quick"
 	@echo "make test-pythons  demo and quick tests under each of PYTHONS ($(PYTHONS)) that this machine has"
 	@echo "make lint     style and types only"
 	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about 10 minutes)"
@@ -69,6 +71,14 @@ wheel-test: $(VENV)/run.stamp
 	folder=$$(mktemp -d) && cd $$folder && export PYTHONPATH= PATH="$(abspath $(WHEEL))/bin:$$PATH" && \
 	  fes demo && fes simulate --seconds 40 && fes analyse out/simulated.parquet && fes hil --only imu_frozen && \
 	  cd / && rm -rf $$folder
+
+# The devices around the session run in the usual environment.
+minimal: $(VENV)/dev.stamp
+	rm -rf $(MINIMAL)
+	$(PYTHON) -m venv $(MINIMAL)
+	$(MINIMAL)/bin/python -m pip install --quiet --disable-pip-version-check .
+	PYTHONPATH= $(BIN)/python benchmarks/speed/live_latency.py --python $(MINIMAL)/bin/python \
+	  --json benchmarks/results/speed-live-minimal.json
 
 # A Python that this machine has not is named and passed over; each has an environment and an output folder of its own.
 test-pythons:
@@ -156,7 +166,7 @@ trials: $(VENV)/run.stamp
 
 # Needs uv on the path; writes no address of any registry.
 lock:
-	uv pip compile pyproject.toml --extra live --extra cohort --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/run.lock
+	uv pip compile pyproject.toml --extra analysis --extra live --extra cohort --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/run.lock
 	uv pip compile pyproject.toml --extra dev -c locks/run.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/dev.lock
 	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/peers.lock
 	uv pip compile docs/site/requirements.in -c locks/dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras -o locks/docs.lock

@@ -239,7 +239,7 @@ def check(quick: dict[str, Sequence[str]], results: Path = RESULTS) -> int:
 
 
 QUICK = ("papers-simulated", "dead-sensor")
-ELSEWHERE = {"hil": "make hil"}  # hours, by a command of its own
+ELSEWHERE = {"hil": "make hil", "speed-live-minimal": "make minimal"}  # hours, or an environment, of its own
 
 
 def arguments_of(name: str) -> list[str]:

@@ -8,10 +8,14 @@ nothing.
 
     python benchmarks/speed/live_latency.py [--minutes 1] [--rate 100] [--json FILE]
     python benchmarks/speed/live_latency.py --hogs 3                                     with busy processes beside it
+    python benchmarks/speed/live_latency.py --python .venv-minimal/bin/python            the session in an environment
+                                                                                         of its own, which is measured
 """
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -40,9 +44,16 @@ LINES: tuple[tuple[str, ImuKind, Literal["pty", "tcp"]], ...] = (
     ("right_foot", "xbus", "pty"),
     ("left_foot", "ximu3", "tcp"),
 )
-GROUP = "the live road"
+GROUP, ALONE = "the live road", "the live road without extras"
 MEAN_US, P99_US, P999_US = 60.0, 250.0, 3000.0
 WITH_HOGS_P99_US = 2000.0
+PLAIN_MEAN_US, PLAIN_P99_US, PLAIN_P999_US = 2000.0, 5000.0, 30000.0  # where numba is not installed
+MOST_MB = 250.0  # of packages, for a session in the terminal
+INSTALLERS = ("pip", "setuptools", "pkg_resources", "wheel", "_distutils_hack", "distutils-precedence")
+ABOUT = """
+import importlib.util, json, sysconfig
+print(json.dumps([sysconfig.get_path("purelib"), importlib.util.find_spec("numba") is not None]))
+"""
 INTENSITY = 0.5
 
 CHANNEL = """
@@ -115,22 +126,32 @@ def drive(operator: ScriptedOperator, controller: ControllerProcess, seconds: fl
     controller.wait(20.0)
 
 
-def rows_of(record: SessionRecord, hogs: int, rate_hz: float) -> list[Row]:
+def environment(python: str) -> tuple[float, bool]:
+    """How large an environment's packages are (MB), those that install apart; and whether it compiles."""
+    told = subprocess.run([python, "-c", ABOUT], capture_output=True, text=True, check=True).stdout
+    packages, compiles = json.loads(told)
+    found = [each for each in Path(packages).iterdir() if not each.name.startswith(INSTALLERS)]
+    files = [file for each in found for file in (each.rglob("*") if each.is_dir() else [each]) if file.is_file()]
+    return sum(file.stat().st_size for file in files) * 1e-6, compiles
+
+
+def rows_of(group: str, record: SessionRecord, hogs: int, rate_hz: float, compiled: bool) -> list[Row]:
     """What was measured, each with what is required."""
+    mean_us, p99_us, p999_us = (MEAN_US, P99_US, P999_US) if compiled else (PLAIN_MEAN_US, PLAIN_P99_US, PLAIN_P999_US)
     rows, us = [], np.asarray(record.latency_ns) * 1e-3
     for sensor, samples in record.samples.items():
         steps = np.diff(samples.t_sensor_ns) * 1e-9 * rate_hz
         lost = float(np.sum(np.maximum(np.round(steps) - 1, 0)))
-        rows.append(Row(GROUP, f"samples lost, {sensor}", lost, "", 0.0, note=f"of {len(samples.t_ns)}"))
+        rows.append(Row(group, f"samples lost, {sensor}", lost, "", 0.0, note=f"of {len(samples.t_ns)}"))
     bursts = sum(command.on for command in record.commands)
     told = f"{len(us)} decisions, {bursts} commands with current, stalls {record.summary.get('stalls')}"
     p99, p999 = (float(value) for value in np.percentile(us, (99.0, 99.9)))
     of = f"2 × {rate_hz:g} Hz" + (f", {hogs} busy processes beside it" if hogs else "")
-    rows.append(Row(GROUP, f"latency, mean, {of}", float(us.mean()), "µs", None if hogs else MEAN_US, note=told))
-    rows.append(Row(GROUP, f"latency, 99 %, {of}", p99, "µs", WITH_HOGS_P99_US if hogs else P99_US))
-    rows.append(Row(GROUP, f"latency, 99.9 %, {of}", p999, "µs", None if hogs else P999_US))
+    rows.append(Row(group, f"latency, mean, {of}", float(us.mean()), "µs", None if hogs else mean_us, note=told))
+    rows.append(Row(group, f"latency, 99 %, {of}", p99, "µs", WITH_HOGS_P99_US if hogs else p99_us))
+    rows.append(Row(group, f"latency, 99.9 %, {of}", p999, "µs", None if hogs else p999_us))
     faults = [note.text for note in record.notes if note.severity == "fault"]
-    rows.append(Row(GROUP, "faults", float(len(faults)), "", None, note="; ".join(dict.fromkeys(faults))))
+    rows.append(Row(group, "faults", float(len(faults)), "", None, note="; ".join(dict.fromkeys(faults))))
     return rows
 
 
@@ -139,7 +160,12 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--rate", type=float, default=100.0, help="of each sensor, Hz")
     parser.add_argument("--hogs", type=int, default=0, help="busy processes beside it")
+    parser.add_argument("--python", help="of the environment that the session runs in")
     options = parser.parse_args()
+    size_mb, compiled = 0.0, True
+    if options.python:
+        size_mb, compiled = environment(options.python)
+        os.environ["PYTHONSAFEPATH"] = "1"  # the session is what that environment has, not what lies in this folder
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         recording, calibration = folder / "walk.parquet", folder / "walk.calibration.json"
@@ -154,7 +180,7 @@ def main() -> int:
         path = folder / "session.toml"
         path.write_text(settings(node, ports, options.rate), encoding="utf-8")
         with uninterrupted():
-            controller = ControllerProcess(path, calibration, folder / "run")
+            controller = ControllerProcess(path, calibration, folder / "run", python=options.python or sys.executable)
             stack.callback(controller.end)
         operator = controller.operator
         for _ in range(300):
@@ -176,9 +202,13 @@ def main() -> int:
         if log is None:
             print(controller.printed())
             return 1
-        rows = rows_of(read_session(log), options.hogs, options.rate)
+        group = ALONE if options.python else GROUP
+        rows = rows_of(group, read_session(log), options.hogs, options.rate, compiled)
+        if options.python:
+            rows.append(Row(group, "packages of the session's environment", size_mb, "MB", MOST_MB))
     if options.json is not None:
-        result_of(f"speed/live_latency.py --minutes {options.minutes:g}", rows, told).keep(options.json)
+        where = f" --python {options.python}" if options.python else ""
+        result_of(f"speed/live_latency.py --minutes {options.minutes:g}{where}", rows, told).keep(options.json)
     return print_rows(rows, "The live road")
 
 

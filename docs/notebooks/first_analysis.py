@@ -33,7 +33,7 @@ for foot in ("left_foot", "right_foot"):
     print(f"{foot}: {len(own)} strides, {own.mean():.2f} ± {own.std(ddof=1):.2f} m")
 
 # %% [markdown]
-# Figures are drawn by matplotlib (`pip install fes-gait[plot]`). Each takes axes or makes them, and returns them.
+# Figures are drawn by matplotlib (`pip install fes-gait[analysis,plot]`). Each takes or makes axes, and returns them.
 
 # %%
 result.plot.strides("stride_length_m")

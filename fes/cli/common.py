@@ -7,6 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from copy import copy
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -81,7 +82,12 @@ BROKEN: Final = 4  # a fault of this program
 INTERRUPTED: Final = 130  # Ctrl-C
 
 # extra (pyproject.toml) → what of it is imported
-EXTRAS: Final = {"live": ("starlette", "uvicorn", "websockets"), "cohort": ("distributed", "fsspec")}
+EXTRAS: Final[dict[str, tuple[str, ...]]] = {
+    "fast": ("numba",),
+    "analysis": ("numba", "pyarrow", "scipy"),
+    "live": ("starlette", "uvicorn", "websockets"),
+    "cohort": ("numba", "pyarrow", "scipy", "distributed", "fsspec"),
+}
 
 
 class Problem(click.ClickException):
@@ -144,7 +150,25 @@ def need_extra(extra: str, option: str = "") -> None:
     """
     if any(find_spec(library) is None for library in EXTRAS[extra]):
         what = f"fes {click.get_current_context().info_name} {option}".strip()
-        raise Problem(f"{what} needs the extra {extra}, which is not installed: pip install 'fes-gait[{extra}]'")
+        raise Problem(without_extra(what, extra))
+
+
+def without_extra(what: str, extra: str) -> str:
+    """What to say of it."""
+    return f"{what} needs the extra {extra}, which is not installed: pip install 'fes-gait[{extra}]'"
+
+
+def needing(command: click.Command, extra: str) -> click.Command:
+    """The command, all of which needs an extra; its help does not."""
+    whole, run = copy(command), command.callback
+    assert run is not None
+
+    def callback(*given: Any, **named: Any) -> Any:
+        need_extra(extra)
+        return run(*given, **named)
+
+    whole.callback = callback
+    return whole
 
 
 def interrupted(said: str) -> NoReturn:

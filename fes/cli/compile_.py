@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from fes.cli.common import FAILED, processors
+from fes.cli.common import FAILED, need_extra, processors
 from fes.estimation.numerics.jit import KEPT, compiled_here
 
 AHEAD_PARTS = ("strides", "path", "events")
@@ -123,6 +123,7 @@ def command(check: bool) -> None:
     `make demo` and what else installs does this. Without it each command compiles what it needs at its first use, and
     that takes up to a minute longer. It is done again after an update, and on another processor.
     """
+    need_extra("fast")
     if KEPT is None:
         click.secho(NOT_KEPT, fg="red", err=True)
         raise SystemExit(FAILED)

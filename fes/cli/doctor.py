@@ -35,7 +35,7 @@ from drivers.switches import SwitchFailed, open_switch
 from fes.cli.common import FAILED, PATH, Number, cannot_be_seen, not_there
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, ImuDevice, Session, Switch, load_session, refuse_blind_targets
-from fes.estimation.warm_up import warm_up
+from fes.estimation.warm_up import COMPILES, NOT_COMPILED, warm_up
 from fes.live.realtime import Grant, fixed_priority, locked_memory
 from fes.live.sensor_monitor import RATE_TOLERANCE, alive_ns
 from fes.session_log import SessionLogError
@@ -437,6 +437,8 @@ def compiled() -> Finding:
     began_s = time.perf_counter()
     warm_up()
     took_s = time.perf_counter() - began_s
+    if NOT_COMPILED:
+        return warning("compiled code", NOT_COMPILED, COMPILES)
     if took_s > COMPILED_S:
         return ok("compiled code", f"was compiled now, in {took_s:.0f} s; the next start is quicker")
     return ok("compiled code", f"warm in {took_s:.1f} s")

@@ -102,6 +102,8 @@ def command(
             marked = " [--hardware]" if on_hardware(scenario) else ""
             click.echo(f"{scenario.name:<22} {scenario.fault}: {scenario.response}{deadline}{marked}")
         return
+    if hardware is None:
+        need_extra("analysis")
     unknown = [name for name in only if name not in BY_NAME]
     if unknown:
         raise Problem(f"--only {', '.join(unknown)}: no such fault. `fes hil --list` names them all.")

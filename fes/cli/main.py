@@ -10,7 +10,7 @@ from typing import Any, Final
 import click
 
 from fes import __version__
-from fes.cli.common import INTERRUPTED, Broken, Problem
+from fes.cli.common import EXTRAS, INTERRUPTED, Broken, Problem, needing, without_extra
 
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
@@ -62,6 +62,7 @@ COMMANDS: Final = {
 
 
 LIVE: Final = ("run", "exercise", "doctor", "hil", "qualify")
+OF_ANALYSIS: Final = ("demo", "timing", "analyse", "evaluate", "import", "calibrate", "simulate", "trials")
 WANTS_LINUX: Final = (
     "fes {} wants Linux. A live session relies on what only Linux gives it: a priority that other programs cannot take "
     "(SCHED_FIFO), memory that is never swapped out (mlockall), processes that are told when the session dies "
@@ -88,7 +89,9 @@ class LazyGroup(click.Group):
             raise Problem(WANTS_LINUX.format(cmd_name))
         module = importlib.import_module(COMMANDS[cmd_name][0])
         command = getattr(module, f"{cmd_name}_command", None) or module.command  # in a file of several by its name
-        return command if isinstance(command, click.Command) else None
+        if not isinstance(command, click.Command):
+            return None
+        return needing(command, "analysis") if cmd_name in OF_ANALYSIS else command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -112,6 +115,12 @@ class LazyGroup(click.Group):
             raise SystemExit(INTERRUPTED) from None
         except (click.ClickException, click.Abort, click.exceptions.Exit, BrokenPipeError):
             raise  # click knows these
+        except ModuleNotFoundError as error:  # a part of a command, of which the rest needs no extra
+            missing = (error.name or "").partition(".")[0]
+            extra = next((name for name, libraries in EXTRAS.items() if missing in libraries), "")
+            if not extra:
+                raise Broken(error) from error
+            raise Problem(without_extra("this", extra)) from error
         except Exception as error:
             if os.environ.get("FES_TRACEBACK"):
                 raise

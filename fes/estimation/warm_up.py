@@ -7,7 +7,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.numerics.jit import keep_compiled, signatures
+from fes.estimation.numerics.jit import PLAIN, keep_compiled, signatures
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.lever_arm import ArmEstimate
 from fes.estimation.shank.motion import StrideSpan
@@ -19,6 +19,13 @@ from fes.signals import G_MPS2, FloatArray, IntArray
 
 GEOMETRY = FootGeometry(toe_forward_m=0.12, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.06)
 UP, LEFT, NO_BIAS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)
+
+NOT_COMPILED = (
+    "nothing is compiled, as numba is not installed: a sample takes about 0.3 ms, the end of a stride 10 ms"
+    if PLAIN
+    else ""
+)
+COMPILES = "pip install 'fes-gait[fast]'"
 
 
 def warm_up() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fes.config import ImuDevice
 from fes.estimation.numerics.jit import jit_ieee
-from fes.estimation.numerics.records import Record, Vec, new_core
+from fes.estimation.numerics.records import Record, Vec, handed, new_core
 from fes.gate.bounds import (
     CODES,
     CORE,
@@ -317,8 +317,9 @@ class Plausibility:
     def __init__(self, sensor: str, device: ImuDevice | None, up: Vector3 | None) -> None:
         self._sensor, self._unready = sensor, 0
         parts = {"bounds": BOUNDS, "place": place_of(sensor, device, up)}
-        judge(new_core(CORE, **parts))  # nothing is to be compiled in the loop
+        judge(handed(new_core(CORE, **parts)))  # nothing is to be compiled in the loop
         self._core = new_core(CORE, **parts)
+        self._handed = handed(self._core)
         self._bytes = self._core.view(np.uint8).data
 
     def fault(self, sample: ImuSample) -> str:
@@ -326,7 +327,7 @@ class Plausibility:
         if not (-FAR_NS < sample.t_ns < FAR_NS and -FAR_NS < sample.t_sensor_ns < FAR_NS):
             return self._sentence(NO_CLOCK)
         pack_sample(self._bytes, 0, sample.t_ns, sample.t_sensor_ns, *sample.acc_mps2, *sample.gyr_radps)
-        found = judge(self._core)
+        found = judge(self._handed)
         self._unready = found // CODES
         return self._sentence(found % CODES) if found else ""
 

@@ -160,7 +160,7 @@ class ControllerProcess:
     Should this process be killed, the session is interrupted as by SIGTERM, where the system tells it (Linux). The
     folder holds its results, its socket (``control``) and its stop file (``stop``). ``view``: with the terminal view;
     ``page``: with the live page. ``faults``: the session's end of a link by which its sensors' faults are ordered;
-    it is closed here.
+    it is closed here. ``python``: of the environment that it runs in.
     """
 
     def __init__(
@@ -172,6 +172,7 @@ class ControllerProcess:
         view: bool = False,
         page: bool = False,
         faults: socket.socket | None = None,
+        python: str = sys.executable,
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -182,7 +183,7 @@ class ControllerProcess:
         reading, self._keys = os.pipe()
         handed = [reading] if faults is None else [reading, faults.fileno()]
         program = _WITH_PARENT.format(os.getpid()) + (_START if faults is None else _FAULTED.format(faults.fileno()))
-        command = [sys.executable, "-c", program, "run", str(settings), "--out", str(folder)]
+        command = [python, "-c", program, "run", str(settings), "--out", str(folder)]
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
         command += ["--view" if view else "--no-view", *(["--dashboard"] if page else [])]

@@ -1,63 +1,19 @@
-"""The gate's compiled rules one by one, each on a record of its own; and the same records for plain Python.
-
-With NUMBA_DISABLE_JIT, as for coverage and mutants, a record is a namespace with lists: numpy's would take a minute.
-"""
+"""The gate's compiled rules one by one, each on a record of its own."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from struct import pack
-from types import SimpleNamespace
 from typing import Any
 
-import numba
 import numpy as np
 
 from fes.config import ImuDevice
-from fes.gate import plausibility
-from fes.gate.bounds import AXIS_DEAD, CORE, EXCHANGED, Bounds, sentence
+from fes.estimation.numerics.records import handed, new_core
+from fes.gate.bounds import AXIS_DEAD, CORE, EXCHANGED, Bounds, pack_sample, sentence
 from fes.gate.coherence import coherent, forget_person, misfit, restart, still_axis
 from fes.gate.plausibility import BOUNDS, axes_changed, place_of, wrong_unit
 from fes.signals import ImuSample, Vector3
-
-PLAIN = bool(vars(numba.config)["DISABLE_JIT"])
-
-
-class PlainCore:
-    """Stands for an array (1,) of such a record."""
-
-    def __init__(self, kind: np.dtype[Any], **parts: tuple[float, ...]) -> None:
-        self.one = zeros(kind)
-        for name, values in parts.items():
-            setattr(self.one, name, values)
-        self.data = self
-
-    def view(self, kind: type) -> PlainCore:
-        return self
-
-    def __getitem__(self, key: int | str) -> Any:
-        return [getattr(self.one, key)] if isinstance(key, str) else self.one
-
-
-def zeros(kind: np.dtype[Any]) -> Any:
-    """A record's namespace: numbers, lists of numbers, namespaces."""
-    if kind.fields is not None:
-        return SimpleNamespace(**{name: zeros(kind.fields[name][0]) for name in kind.names or ()})
-    zero = {"f": 0.0, "i": 0, "b": False}[kind.base.kind]
-    return [zero] * kind.shape[0] if kind.shape else zero
-
-
-def put(target: PlainCore, offset: int, *values: Any) -> None:
-    """Into a plain core, what fits into a record."""
-    pack("qq6d", *values)
-    t_ns, t_sensor_ns, *six = values
-    target.one.sample = SimpleNamespace(t_ns=t_ns, t_sensor_ns=t_sensor_ns, acc=six[:3], gyr=six[3:])
-
-
-def use_plain_cores() -> None:
-    """Where nothing is compiled."""
-    vars(plausibility).update(new_core=PlainCore, pack_sample=put)
 
 
 class Judge:
@@ -73,14 +29,14 @@ class Judge:
             )
             place = place_of(sensor, device, up)
         self.sensor = sensor
-        self.core = vars(plausibility)["new_core"](CORE, bounds=bounds, place=place)
-        self.one: Any = self.core[0]
+        core = new_core(CORE, bounds=bounds, place=place)
+        self.one: Any = handed(core)[0]
+        self.memory = core.view(np.uint8).data
         forget_person(self.one)
         restart(self.one)
 
     def take(self, sample: ImuSample) -> None:
-        data = self.core.view(np.uint8).data
-        vars(plausibility)["pack_sample"](data, 0, sample.t_ns, sample.t_sensor_ns, *sample.acc_mps2, *sample.gyr_radps)
+        pack_sample(self.memory, 0, sample.t_ns, sample.t_sensor_ns, *sample.acc_mps2, *sample.gyr_radps)
 
     def said(self, code: int) -> str:
         return sentence(code, self.sensor, float(self.one.value))

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +95,21 @@ def test_the_trial_gives_the_golden_frames(replays: Replays, request: pytest.Fix
         ]
     )
     assert golden == now
+
+
+@pytest.mark.slow
+def test_plain_python_gives_the_golden_frames() -> None:
+    test = f"{Path(__file__)}::{test_the_trial_gives_the_golden_frames.__name__}"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", test],
+        cwd=Path(__file__).parents[2],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "1 passed" in done.stdout
 
 
 def as_text(result: dict[str, Any]) -> str:

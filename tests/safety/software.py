@@ -217,10 +217,14 @@ def told_licences() -> dict[str, str]:
     return dict(re.findall(r"^\| ([\w.-]+) \| [^|]+ \| ([^|]+) \|$", page, re.MULTILINE))
 
 
+INSTALLED = ("fast", "analysis", "live", "cohort")
+
+
 def asked_for(project: dict[str, Any]) -> list[str]:
     """What pyproject.toml asks for of locks/run.lock: the core and the extras that `make` installs with it."""
     extras = project["optional-dependencies"]
-    return [*project["dependencies"], *extras["live"], *extras["cohort"]]
+    all_of_them = [*project["dependencies"], *(each for name in INSTALLED for each in extras[name])]
+    return [each for each in all_of_them if not each.startswith(project["name"])]  # an extra made of another one
 
 
 def bill_of_materials(licences: dict[str, str]) -> str:

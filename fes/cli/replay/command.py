@@ -28,6 +28,7 @@ from fes.cli.common import (
     fresh_folder,
     given_options,
     interrupted,
+    need_extra,
     out_option,
     replay_progress,
     utc_now,
@@ -243,6 +244,7 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     if options.stimulator == "bus":
         refuse_what_a_person_does(options)
     if recording.suffix != LOG_SUFFIX:
+        need_extra("analysis")
         replay_recording(recording, options)
         return
     refuse_settings_of_a_recording(*(("speed", "out", "dashboard_port") if options.dashboard else ()))

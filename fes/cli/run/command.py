@@ -39,7 +39,7 @@ from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_exercise, load_session, refuse_blind_targets
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
-from fes.estimation.warm_up import warm_up
+from fes.estimation.warm_up import COMPILES, NOT_COMPILED, warm_up
 from fes.live.calibrating import Calibrating, ExerciseClock
 from fes.live.commands import CommandKind, OperatorCommand
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
@@ -355,6 +355,9 @@ def run_live(
         live.notices.lasting.append(FAULTS_INJECTED)
         live.monitor.note(Note(time.monotonic_ns(), "warning", "session", FAULTS_INJECTED))
         click.secho(FAULTS_INJECTED, fg="red", bold=True, err=True)
+    if NOT_COMPILED:
+        live.monitor.note(Note(time.monotonic_ns(), "warning", "session", NOT_COMPILED))
+        click.secho(f"Warning: {NOT_COMPILED}. Remedy: {COMPILES}", fg="yellow", err=True)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
     for port_name in devices.serial_ports_of(session):
         if hint := latency_hint(port_name):

@@ -15,7 +15,7 @@ covariance updated in Joseph's form, which stays right for any gain: the heading
 import math
 from typing import NamedTuple
 
-from fes.estimation.numerics.jit import jit, jit_ieee
+from fes.estimation.numerics.jit import by_number, jit, jit_ieee
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import half_turn, quaternion_step, to_sensor
 from fes.signals import G_MPS2
@@ -45,6 +45,7 @@ def start_covariance(covariance: Mat, settings: OrientationSettings) -> None:
         covariance[i + 3, i + 3] = settings.start_bias_radps**2
 
 
+@by_number
 @jit_ieee
 def propagate(covariance: Mat, wx: float, wy: float, wz: float, dt_s: float, settings: OrientationSettings) -> None:
     """Carry the covariance over one sample: ``P ← Φ P Φᵀ + Q``, ``Φ = [[exp(-S(w)dt), dt/2], [0, exp(-dt/T)]]``.

@@ -5,14 +5,13 @@ Python is called where the phase machine or a stride's result is wanted.
 """
 
 import numpy as np
-from numba import literal_unroll
 
 from fes.estimation.foot import features
 from fes.estimation.foot.block_results import CHANGE, TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.orientation import OrientationSettings
-from fes.estimation.numerics.jit import jit_ieee
-from fes.estimation.numerics.records import Mat, Record, Vec, fill
+from fes.estimation.numerics.jit import jit_ieee, literal_unroll
+from fes.estimation.numerics.records import Mat, Record, Vec, fill, handed
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.strides.segmentation import CHANGES, ROWS, STRIDE_STATE, STRIDES, Out, new_out
@@ -152,11 +151,13 @@ class FootTracker(Tracker):
         strides.keep_in(live["stride"])
         self._maker = strides
         self._live = live
-        self._for_step = live, *self._history.arrays
-        self._one_change = np.empty(1, CHANGE)
-        self._one_stride = new_out(1, len(self._history.arrays.t_ns), TRAJECTORY_POINTS)
-        self._filled = self._one_stride.filled.data  # the same memory, read and written in a third of the time
-        self._no_more = as_samples(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)))
+        arrays = self._history.arrays
+        self._for_step = handed(live), *map(handed, arrays)
+        self._one_stride = out = new_out(1, len(arrays.t_ns), TRAJECTORY_POINTS)
+        self._filled = out.filled.data  # the same memory, read and written in a third of the time
+        no_more = as_samples(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)))
+        one = handed(np.empty(1, CHANGE)), out._replace(strides=handed(out.strides))
+        self._for_one = self._for_step[0], handed(strides.core), arrays, no_more, *one
 
     @property
     def gyr_bias_radps(self) -> FloatArray:
@@ -193,11 +194,11 @@ class FootTracker(Tracker):
         change = None if number == DUE else self._fire(number)
         if number in (_T1, DUE):
             self._filled[:] = _NONE_FILLED
-            self._track(self._no_more, self._one_change, self._one_stride, 0, self._history.filled, number)
+            _block(*self._for_one, 0, self._history.filled, number)
             if self._filled[STRIDES]:
                 outcomes.append(self._maker.stride_in(self._one_stride))
         else:
-            _go_through(self._live, self._maker.core, number)
+            _go_through(*self._for_one[:2], number)
         if change is not None:
             outcomes.append(change)
         return outcomes

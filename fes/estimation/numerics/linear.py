@@ -1,11 +1,12 @@
 """A small linear system, for compiled code that must not call a library whose last bit differs between machines."""
 
-from fes.estimation.numerics.jit import jit_fused
+from fes.estimation.numerics.jit import by_number, jit_fused
 from fes.estimation.numerics.records import Mat
 
 SINGULAR = 1e-150  # smaller pivots are rounding
 
 
+@by_number
 @jit_fused
 def solve(system: Mat, count: int) -> bool:
     """Solve the first ``count`` equations in place by Gauss with pivoting.

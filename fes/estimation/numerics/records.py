@@ -5,10 +5,13 @@ core takes longer than a sample's arithmetic.
 """
 
 import math
+from functools import cache
 from struct import Struct
-from typing import Any, NamedTuple, Protocol, TypeAlias, get_type_hints
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, get_type_hints
 
 import numpy as np
+
+from fes.estimation.numerics.jit import PLAIN
 
 # What compiled code is given; the docstrings say the shapes.
 Vec: TypeAlias = np.ndarray[Any, np.dtype[Any]]  # (N,) numbers, time stamps or records
@@ -76,3 +79,76 @@ def struct_of(kind: np.dtype[Any], *names: str) -> Struct:
         assert kind.fields is not None
         add(kind.fields[name][0], kind.fields[name][1])
     return Struct(code)
+
+
+def handed(array: Vec) -> Any:
+    """An array as a live step's functions are handed it: where nothing is compiled, in a form quick for Python.
+
+    That is a list of :class:`PlainRecord`, or of numbers the memory; both are the array's own memory.
+    """
+    if not PLAIN:
+        return array
+    if array.dtype.names is None:
+        return array.data
+    kind = _plain_type(array.dtype)
+    return [kind(each) for each in array.view(np.uint8).reshape(len(array), -1)]
+
+
+class PlainRecord:
+    """One element of a structured array, its fields as attributes, in a twentieth of the time that numpy's takes.
+
+    ``memory`` (B,) are its bytes. Numbers are Python's; more than one axis is numpy's array.
+    """
+
+    __slots__ = ("_array", "_flags", "_floats", "_ints", "_parts")
+    KIND: ClassVar[np.dtype[Any]]
+
+    def __init__(self, memory: Vec) -> None:
+        self._array = memory.view(self.KIND)
+        data = memory.data
+        self._floats, self._ints, self._flags = data.cast("d"), data.cast("q"), data.cast("?")
+        self._parts = {
+            name: _part(memory[offset : offset + kind.itemsize], kind)
+            for name, (kind, offset, *_) in (self.KIND.fields or {}).items()
+            if kind.names is not None or kind.shape
+        }
+
+
+def _part(memory: Vec, kind: np.dtype[Any]) -> Any:
+    if kind.names is not None:
+        return _plain_type(kind)(memory)
+    values = memory.view(kind.base).reshape(kind.shape)
+    return values.data if values.ndim == 1 else values
+
+
+@cache
+def _plain_type(kind: np.dtype[Any]) -> type[PlainRecord]:
+    """The class of a record's elements."""
+    fields = {
+        name: _record_in(name) if part.names is not None or part.shape else _number_at(part.kind, offset)
+        for name, (part, offset, *_) in (kind.fields or {}).items()
+    }
+    return type("PlainRecord", (PlainRecord,), {"__slots__": (), "KIND": kind, **fields})
+
+
+def _number_at(kind: str, offset: int) -> property:
+    at = offset if kind == "b" else offset // 8
+    read: Any
+    write: Any
+    if kind == "f":
+        read, write = lambda self: self._floats[at], lambda self, value: self._floats.__setitem__(at, value)
+    elif kind == "i":
+        read, write = lambda self: self._ints[at], lambda self, value: self._ints.__setitem__(at, value)
+    else:
+        read, write = lambda self: self._flags[at], lambda self, value: self._flags.__setitem__(at, value)
+    return property(read, write)
+
+
+def _record_in(name: str) -> property:
+    def read(self: PlainRecord) -> Any:
+        return self._parts[name]
+
+    def write(self: PlainRecord, value: Any) -> None:
+        self._array[name] = value._array if isinstance(value, PlainRecord) else value
+
+    return property(read, write)

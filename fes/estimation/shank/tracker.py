@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.numerics.jit import jit
-from fes.estimation.numerics.records import Vec, fill
+from fes.estimation.numerics.records import Vec, fill, handed
 from fes.estimation.shank import features
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.motion import FINE_WINDOW_PER_STRIDE, FINE_WINDOW_S, StrideSpan
@@ -161,9 +161,10 @@ class ShankTracker(Tracker):
     def __init__(
         self, calibration: ShankCalibration, *, incline: float | None = None, swing_at_reversal: bool = False
     ) -> None:
-        self._live = np.zeros(1, live_type(features.CORE))
+        live = np.zeros(1, live_type(features.CORE))
+        self._live = handed(live)
         thresholds = calibration.levels.thresholds(swing_at_reversal=swing_at_reversal)
-        super().__init__(calibration.sensor, calibration.rate_hz, self._live)
+        super().__init__(calibration.sensor, calibration.rate_hz, live)
         fill(self._core, parameters=calibration.parameters(), thresholds=thresholds)
         self._acc_bias, self._gyr_bias = np.array(calibration.acc_bias_mps2), np.array(calibration.gyr_bias_radps)
         self._strides = ShankStrideMaker(calibration, incline=incline)

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from fes.estimation.numerics.jit import inlined, jit_fused
+from fes.estimation.numerics.jit import by_number, inlined, jit_fused
 from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
@@ -66,6 +66,7 @@ def _tilt(q: Vec, fx: float, fy: float, fz: float) -> tuple[float, float, float]
     return tilt, by * uy, -by * ux
 
 
+@by_number
 @jit_fused
 def _integrate(t_ns: Vec, gyr: Mat, start: Vec, dx: float, dy: float, dz: float, out: Mat) -> None:
     """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
@@ -223,6 +224,7 @@ def line_of(position: Mat, first: int, last: int) -> tuple[float, float]:
     return (-z * x / level2, -z * y / level2) if level2 > 0.0 else (0.0, 0.0)
 
 
+@by_number
 @inlined
 def height_and_turn(quaternion: Mat, position: Mat, fx: float, fy: float, fz: float) -> tuple[float, float]:
     """The greatest height of a stride over the line from its start to its end (on stairs above its start) in m, and
@@ -262,6 +264,7 @@ def goes_backward(quaternion: Mat, position: Mat, turn: float, fx: float, fy: fl
     return bool(x * ahead + y * left < -0.5 * length * math.hypot(ahead, left))
 
 
+@by_number
 @jit_fused
 def stride_shape(
     t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
@@ -365,6 +368,7 @@ TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, LENGTH_SD, FREE_R
 )  # where the numbers are
 
 
+@by_number
 @inlined
 def _speed_gained(t_ns: Vec, acc: Mat, quaternion: Mat) -> float:
     """By how much the horizontal velocity differs between the ends, as measured (m/s): little from rest to rest."""

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fes.estimation.numerics.jit import inlined, jit_fused
+from fes.estimation.numerics.jit import by_number, inlined, jit_fused
 from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
@@ -102,6 +102,7 @@ class HeightNoise(NamedTuple):
     end_height_m: float = 0.005
 
 
+@by_number
 @jit_fused
 def settle_height(
     t_ns: Vec, acc: Mat, quaternion: Mat, end_velocities: Vec, end_variances: Vec, rise_m: float, noise: HeightNoise,
@@ -228,6 +229,7 @@ def _later(i: int, last: int, left_s: float, velocity: Mat, position: Mat) -> tu
     )
 
 
+@by_number
 @jit_fused
 def maximum_likelihood(
     t_ns: Vec,
@@ -331,6 +333,7 @@ def maximum_likelihood(
     return True, free_m
 
 
+@by_number
 @inlined
 def _gather(
     t_ns: Vec, acc: Mat, gyr: Mat, noise: StrideNoise, quaternion: Mat, velocity: Mat, position: Mat, system: Mat,
@@ -395,6 +398,7 @@ def _gather(
     of_cause[3, VELOCITY + 2] = span_s
 
 
+@by_number
 @inlined
 def _apply(
     t_ns: Vec, acc: Mat, gyr: Mat, noises: Mat, system: Mat, cause: Vec, quaternion: Mat, velocity: Mat, position: Mat,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes.estimation.closures import GAIN, RESIDUALS, SCALE, UPRIGHT_S, close_stride
-from fes.estimation.numerics.jit import jit_ieee
+from fes.estimation.numerics.jit import by_number, jit_ieee
 from fes.estimation.numerics.records import core_type
 from fes.estimation.numerics.rotation import to_world, without
 from fes.estimation.strides.boundaries import (
@@ -343,6 +343,7 @@ def _usual_step(t_ns: Any, first: int, last: int) -> float:
     return usual
 
 
+@by_number
 @jit_ieee
 def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -> None:
     """Least height of the toe in mid-swing and greatest of the heel (m), above where they stood and over the line from

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit_ieee
-from fes.estimation.numerics.records import Mat, Record, Vec, fill, record_type, struct_of
+from fes.estimation.numerics.records import Mat, Record, Vec, fill, handed, record_type, struct_of
 from fes.estimation.tracking.phase_features import MEASURES, features_in
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 from statemachine.guards import Features, Thresholds
@@ -243,9 +243,10 @@ class Tracker(ABC):
         self._restarts = 0
         self._sample, self._core, self._state = live["sample"], live["core"], live["core"]["state"][0]
         self._bytes = live.view(np.uint8).data
+        self._seen = handed(self._core)
         limits = self._core["thresholds"]
         self._limits = partial(struct_of(limits.dtype).unpack_from, limits.view(np.uint8).data)
-        self._fired = NEVER_NS, features_in(self._core), Thresholds()
+        self._fired = NEVER_NS, features_in(self._seen), Thresholds()
 
     @property
     def phase(self) -> Phase:
@@ -301,7 +302,7 @@ class Tracker(ABC):
     def _fire(self, number: int) -> PhaseChange:
         """Take the machine through what the compiled guards let pass at the newest sample."""
         t_ns = int(self._state["t_ns"])
-        _, seen, limits = self._fired = t_ns, features_in(self._core), self.thresholds
+        _, seen, limits = self._fired = t_ns, features_in(self._seen), self.thresholds
         return self.machine.fire(TRANSITIONS[number], t_ns, seen, limits)
 
     def seen(self) -> tuple[Features, Thresholds]:
@@ -309,7 +310,7 @@ class Tracker(ABC):
         t_ns, fired, limits = self._fired
         if t_ns == int(self._state["t_ns"]):
             return fired, limits
-        return features_in(self._core), self.thresholds
+        return features_in(self._seen), self.thresholds
 
     def _restart(self, t_ns: int) -> list[PhaseChange]:
         """Begin anew in stance with the sample of this time: the change, if there was anything before."""
