@@ -218,6 +218,7 @@ def walked(strides: int = KNOWN) -> Foot:
     return foot
 
 
+@pytest.mark.requirement("SR-25")
 @pytest.mark.parametrize("at", range(5))
 def test_strides_that_close_elsewhere_stop_bursts(at: int) -> None:
     foot = walked()
