@@ -46,7 +46,7 @@ BATCH_ROWS: Final = 20_000
 ANOTHER: Final = "choose another with --out"
 UNITS: Final = {name: name for name in ("ns", "ms", "rad", "m")} | {"ma": "mA", "us": "µs", "uc": "µC", "hz": "Hz"}
 UNITS.update({"mps2": "m/s²", "radps": "rad/s", "mps": "m/s"})
-_ARRAYS = ("trajectory_m", "pitch_rad", "roll_rad")
+_ARRAYS = ("trajectory_m", "pitch_rad", "roll_rad", "left_over")
 _KINDS: Final[dict[Any, str]] = {int: "int", int | None: "int", float: "float", bool: "bool", bool | None: "bool"}
 
 

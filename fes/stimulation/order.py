@@ -37,7 +37,7 @@ TRAVELS_M: Final = 0.1  # the shortest steady walkers (S07, S19 of the stroke wa
 UNEVEN: Final = 0.25  # of the usual cycle: on a belt 99 of 100 cycles of the sound are within 0.1, a shuffle's half
 EVEN: Final = 0.1  # of the cycle before
 REMEMBERED, USUAL_FROM = 12, 3  # cycles
-LONGER, LATER_NS = 1.25, NS_PER_S // 10  # times the usual swing, and more: that long, and its end was not seen
+LONGER, LATER_NS = 1.5, NS_PER_S // 10  # times the usual swing, and more: that long, and its end was not seen
 GROWS_NS: Final = NS_PER_S // 50  # a stride, at most, is what is usual: a lie must not become so soon
 STOPPED: Final = 2.5  # usual cycles: a longer one holds a stop
 CYCLE: Final = [Transition.T1, Transition.T2, Transition.T3, Transition.T4]
@@ -48,7 +48,7 @@ NO_END: Final = "ended late"
 NO_CLOSE: Final = "do not come to rest as those before did, by what the sensor says"
 MUCH: Final = 20.0  # m/s: more than anything leaves over
 REMEDY: Final = "see that the sensor sits on this foot as it did at calibration"
-NEW_WALK: Final = "; if it does and the walk has changed, arm again"
+NEW_WALK: Final = "; if it does and the walk has changed, pause and go on"
 
 
 # --- a sensor that changes --------------------------------------------------------------------------------------------
@@ -110,7 +110,7 @@ class OrderJudge:
         self._cycles_ns: deque[int] = deque(maxlen=REMEMBERED)  # from foot off to foot off
         self._fired: list[Transition] = []  # since the heel rose; empty where that was not seen
         self._swings_ns: deque[int] = deque(maxlen=REMEMBERED)  # from foot off to foot flat
-        self._swing_ns = 0  # of the newest
+        self._swing_ns = self._late = 0  # of the newest; how many in a row ended late
         self._off_ns = 0  # of the newest swing; 0 before the first, after a gap, and with a heel put back between
         self._cycle_ns = 0  # that ended with it, 0 where it is not known
         self._stride: StrideResult | None = None
@@ -125,9 +125,10 @@ class OrderJudge:
             self._closing.on_stride(stride.left_over, learns=self.in_order)
 
     def begin_anew(self) -> None:
-        """A person has armed: how the sensor's strides close now is what counts, whatever it was."""
-        self._closing = Closing()
-        self._swings_ns.clear()
+        """A person has armed, or gone on: of a foot in disorder what its strides are now counts, whatever they were."""
+        if not self.in_order:
+            self._closing = Closing()
+            self._swings_ns.clear()
 
     def on_phase(self, change: PhaseChange) -> None:
         """Follow a phase change; a heel rise may end or restore order."""
@@ -167,17 +168,21 @@ class OrderJudge:
             self._cycles_ns.append(cycle_ns)
         swing_ns = self._swing_ns
         if len(self._swings_ns) >= USUAL_FROM:
-            usual_ns = sorted(self._swings_ns)[len(self._swings_ns) // 2]
-            if not fault and swing_ns > LONGER * usual_ns + LATER_NS:
-                fault = NO_END
-            swing_ns = min(swing_ns, usual_ns + GROWS_NS)
+            swing_usual_ns = sorted(self._swings_ns)[len(self._swings_ns) // 2]
+            slower = max(cycle_ns / usual_ns, 1.0) if usual_ns else 1.0  # an end that is not seen lengthens no cycle
+            late = usual_ns > 0 and swing_ns > LONGER * swing_usual_ns * slower + LATER_NS
+            self._late = self._late + 1 if late else 0
+            swing_ns = min(swing_ns, swing_usual_ns + max(GROWS_NS, int(swing_usual_ns * (slower - 1.0))))
         self._swings_ns.append(swing_ns)
-        self._faults.append(fault or (NO_CLOSE if self._closing.far and not self.in_order else ""))
+        if not self.in_order:
+            fault = fault or (NO_END if self._late else NO_CLOSE if self._closing.far else "")
+        self._faults.append(fault)
         poor = Counter(filter(None, self._faults))
-        if self.in_order and self._closing.other:
-            self.in_order, self.reason = False, f"its last {ALIKE} strides {NO_CLOSE}"
+        if self.in_order and (self._closing.other or self._late >= ALIKE):
+            self.in_order = False
+            self.reason = f"its last {ALIKE} strides {NO_CLOSE if self._closing.other else NO_END}"
             self._faults.clear()
-        elif self.in_order and (poor.total() >= POOR or poor[NO_END] >= ALIKE):
+        elif self.in_order and poor.total() >= POOR:
             self.in_order = False
             told = ", ".join(f"{count} {what}" for what, count in poor.most_common())
             self.reason = f"of its last {len(self._faults)} swings {told}"

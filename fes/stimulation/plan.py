@@ -14,9 +14,11 @@ With ``onset = "predicted"`` a burst may begin before the entry into ``start_pha
 the burst goes on, but lasts no longer for it: of ``extension_s`` as much is left out as it began early. Where that is
 more than all of it, the burst lasts no longer than the longest of the last ones, had they begun at the entry.
 
-Of a foot in ``bounded``, whose samples come late, every burst falls by prediction where no sample has said so sooner:
-``extension_s`` after the entry into ``stop_phase`` is expected, by the longest of the last times from the start phase
-and from the phase before, of which the sooner counts. So none starts before these are known.
+Every burst falls by prediction where no sample has said so sooner: a quarter of the usual time and ``LATER_NS`` after
+the entry into ``stop_phase`` usually comes after the newest phase; once it falls it does not rise again. Of a foot in
+``late``, whose samples come late, ``extension_s`` after the entry into ``stop_phase`` is expected, by the longest of
+the last times from the start phase and from the phase before, of which the sooner counts. So none starts before these
+are known.
 
 It begins with one step of the device, at once, and rises from there: the gate grants nothing for the time before.
 
@@ -177,7 +179,8 @@ class StimulationPlan:
                 state.awaited_ns, state.burst = None, None
             elif change.destination == state.start:
                 if state.adopt and state.burst is not None and not state.burst.falls(change.t_ns):
-                    state.burst = state.burst.unstopped()
+                    state.burst, state.latest_ns, state.held = state.burst.unstopped(), None, False
+                    state.bound(state.start, change.t_ns)
                 elif permitted and (confirmed := state.confirmed(change.t_ns)):
                     state.burst = confirmed
                 else:
@@ -191,7 +194,8 @@ class StimulationPlan:
                 state.burst = state.burst.stopped(change.t_ns) if state.burst else None
             else:
                 state.bound(change.destination, change.t_ns)
-            if state.burst is not None and change.destination in (state.before, *state.entered_ns):
+            bounded = change.destination in (state.before, *state.entered_ns)
+            if state.burst is not None and bounded and not state.burst.falls(change.t_ns):
                 state.burst = state.burst.due(state.due_ns())
 
     def begin_early(self, foot: str, t_ns: int, intensity: float) -> bool:

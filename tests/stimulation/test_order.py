@@ -225,7 +225,7 @@ def test_strides_that_close_elsewhere_stop_bursts(at: int) -> None:
     permitted = [foot.go(result=closing(30.0, at, 100 + k)) for k in range(ALIKE + 2)]
     assert permitted == [True] * ALIKE + [False] * 2
     assert "do not come to rest" in foot.order.describe()
-    assert "arm again" in foot.order.describe()
+    assert "pause and go on" in foot.order.describe()
 
 
 def test_one_stumble_stops_nothing() -> None:
@@ -276,10 +276,26 @@ def test_swings_whose_end_is_not_seen_stop_bursts_until_they_end_in_time() -> No
         foot.go(each_s=0.3)
         assert foot.order.in_order
     assert not foot.go(each_s=0.3)
-    assert "3 ended late" in foot.order.describe()
+    assert "3 strides ended late" in foot.order.describe()
     for k in range(AGAIN + 1):
         foot.go(result=closing(seed=200 + k))
     assert foot.order.in_order
+
+
+@pytest.mark.parametrize("slower", [1.5, 1.6, 1.8])
+def test_a_slower_walk_ends_its_swings_in_time(slower: float) -> None:
+    foot = walked()
+    for k in range(20):
+        foot.go(result=closing(seed=500 + k), cycle_s=1.2 * slower, each_s=0.1 * slower)
+        assert foot.order.in_order
+
+
+def test_going_on_forgets_nothing_of_a_foot_in_order() -> None:
+    foot = walked()
+    foot.order.begin_anew()
+    for k in range(ALIKE + 2):
+        foot.go(result=closing(30.0, 0, 100 + k))
+    assert not foot.order.in_order
 
 
 def test_a_solution_that_is_no_number_is_far_off() -> None:

@@ -124,3 +124,20 @@ def test_what_lasts_longer_becomes_usual_slowly() -> None:
 def test_the_first_bursts_by_cable_need_no_prediction() -> None:
     walk = Walk(make_channel())
     assert step(walk)
+
+
+@pytest.mark.requirement("SR-30")
+@pytest.mark.parametrize("pre_ms", range(700, 1100, 20))
+def test_a_burst_that_falls_does_not_rise_again(pre_ms: int) -> None:
+    walk = Walk(make_channel())
+    for _ in range(LASTED):
+        step(walk)
+    walk.current(walk.t_ms + REST_MS)
+    walk.enter(PRE_SWING)
+    t1_ms, levels = walk.t_ms, list[float]()
+    for ms in range(1, pre_ms + SWING_MS):
+        levels.append(walk.current(t1_ms + ms))
+        if ms == pre_ms:
+            walk.enter(SWING)
+    top = levels.index(max(levels))
+    assert levels[top:] == sorted(levels[top:], reverse=True)

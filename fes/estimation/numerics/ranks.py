@@ -4,12 +4,17 @@ numpy asks for both neighbours of a rank at once, and then leaves its fast selec
 one. Here one is asked for, and the other is the greatest or the least of what lies on its side.
 """
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fes.estimation.numerics.records import Vec
 from fes.signals import FloatArray
+
+if TYPE_CHECKING:
+    from fes.estimation.numerics.records import Vec
 
 
 def median(values: Vec) -> float:
