@@ -24,7 +24,7 @@ from fes.cli.common import (
 )
 from fes.cli.replay.log import prepared
 from fes.cli.show import print_json
-from fes.config import ConfigError
+from fes.config import WIRELESS, ConfigError
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken
@@ -45,7 +45,7 @@ REPEAT: Final = "Each fault so many times, each of its values once."
 @click.option("--repeat", type=click.IntRange(1, 1000), default=1, show_default=True, help=REPEAT)
 @click.option("--closed-loop", is_flag=True, help="With a virtual patient, who feels what the stimulator delivers.")
 @click.option("--recording", type=PATH, help="The sensor plays a walk out of this recording.")
-@choice("--sensors", of=SENSOR_KINDS, help="Which simulated sensor is worn.")
+@choice("--sensors", of=(*SENSOR_KINDS, *WIRELESS), help="Which simulated sensor is worn.")
 @click.option("--list", "listing", is_flag=True, help="List the faults and end; [--hardware] on real devices too.")
 @out_option("Results below.")
 @click.option("--hardware", type=PATH, help="Real devices, as in this session file.")

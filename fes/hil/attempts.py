@@ -21,6 +21,7 @@ from drivers.simulated.bus_guests import Rogue
 from drivers.simulated.record import RecordEntry
 from drivers.simulated.spawn import ImuKind
 from drivers.stimulator.port import StimulatorLost
+from fes.config import WIRELESS
 from fes.hil.baseline import Baseline
 from fes.hil.campaign_bench import (
     ALLOWED,
@@ -45,7 +46,7 @@ from fes.hil.results import (
     resumed_after,
     with_late_pulses,
 )
-from fes.hil.scenarios import Effect, Moment, Needs, Scenario
+from fes.hil.scenarios import Effect, Moment, Needs, Scenario, by_radio
 from fes.hil.sensor_faults import PULSE_BY_PULSE, RealSensor
 from fes.hil.settings import CHANNEL, CURRENT_MA, DOSE_MC, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
 from fes.session_log import SessionLogError, read_session
@@ -427,6 +428,8 @@ def simulated_campaign(
             transport, folder, stack, channel, closed_loop=closed_loop, played=played, sensors=sensors
         )
         bench = CampaignBench(devices, devices.capabilities | machine_capabilities(), stack)
+        if sensors in WIRELESS:
+            scenarios = list(map(by_radio, scenarios))
         about = [played[0].name] if played else []
         about += [sensors] if sensors != "xbus" else []  # which is the usual
         name = f"{transport} ({', '.join(about)})" if about else transport
@@ -454,6 +457,8 @@ def hardware_campaign(
     """
     session = hardware_session(path)
     capabilities = machine_capabilities() | {Needs.SENSOR, Needs.REALS, Needs.UNSOUND}
+    if session.by_radio:
+        scenarios = list(map(by_radio, scenarios))
     with ExitStack() as stack:
         witness = None
         if session.stimulator.device == "can":

@@ -37,14 +37,14 @@ from drivers.stimulator.can_codec import STATUS_ID, FrameRejected, Result, Statu
 from drivers.stimulator.port import StimulatorLost
 from fes.analysis.pipeline import analyse
 from fes.calibration.recording import SensorCalibrations, save
-from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session
+from fes.config import WIRELESS, Bus, ConfigError, Session, StimulatorDevice, load_session
 from fes.estimation.events.offline import GaitEvents
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.hil.closed_loop.bench import PatientHandle, PatientSensor, campaign_patient
 from fes.hil.results import PERIOD_NS
 from fes.hil.scenarios import Needs, Scenario
 from fes.hil.sensor_faults import PULSE_BY_PULSE, RealSensor
-from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, STANDS_S, Walker, session_text, walker
+from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, SENSOR_HZ, STANDS_S, Walker, session_text, walker
 from fes.recording import Recording, RecordingError, Track, write_recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, BoolArray, FloatArray
 
@@ -56,11 +56,15 @@ WALKS_S: Final = 10.0  # a patient who is to stand walks to the end first
 SWINGS: Final = 3
 
 
-def recorded_walker(recording: Recording, found: SensorCalibrations, folder: Path) -> Walker:
+def recorded_walker(
+    recording: Recording, found: SensorCalibrations, folder: Path, rate_hz: float | None = None
+) -> Walker:
     """Write the files of a foot that stands for :data:`STANDS_S` and then walks for about :data:`WALKS_S`.
 
     Nobody knows the true phases of a recording. In their place is what its off-line analysis finds with all samples at
     hand: stance lasts from foot flat to heel rise (:func:`fes.estimation.events.offline.find_events`).
+
+    ``rate_hz``: of the sensor that plays it; None: the recording's.
 
     RecordingError: no foot does so, or no foot is calibrated.
     """
@@ -79,7 +83,7 @@ def recorded_walker(recording: Recording, found: SensorCalibrations, folder: Pat
     path, calibration = folder / "walker.parquet", folder / "walker.calibration.json"
     write_recording(Recording(recording.name, None, {foot: part}), path, overwrite=True)
     save(found, calibration)
-    rate_hz = float(round(track.rate_hz))
+    rate_hz = rate_hz or float(round(track.rate_hz))
     grid_ns = part.t_sensor_ns[0] + np.arange(int((walk_ns[1] - walk_ns[0]) * rate_hz / NS_PER_S)) * (
         NS_PER_S / rate_hz
     )
@@ -123,7 +127,7 @@ SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
 }
 
 
-REALS: Final = ("xbus", "ximu3")  # sensors that send floating point
+REALS: Final = ("xbus", "ximu3", "movella_dot")  # sensors that send floating point
 Sensor = ImuHandle | PatientSensor
 PlayedRecording = tuple[Recording, SensorCalibrations]
 WATCHED: Final = ("view", "page")  # of the host's side as well, but nobody watches real devices
@@ -266,14 +270,17 @@ def start_devices(
     """Start all of a transport's devices; ``stack`` ends them.
 
     ``closed_loop``: the sensor is worn by a virtual patient, who feels what the stimulator delivers. ``played``: the
-    sensor plays a walk out of this recording. ``sensors``: which kind, one on a line of bytes.
+    sensor plays a walk out of this recording. ``sensors``: which kind, one on a line of bytes or by radio.
 
     Raises:
         Unavailable: the transport is not to be had here, or a device does not start.
         RecordingError, CalibrationError: the recording cannot be used.
     """
+    rate_hz = SENSOR_HZ.get(sensors)
+    if closed_loop and rate_hz not in (None, RATE_HZ):
+        raise Unavailable(f"{sensors} has {rate_hz:g} Hz, a virtual patient's sensors {RATE_HZ:g}. Leave out --closed-loop")
     try:
-        walked = recorded_walker(*played, folder) if played else walker(folder)
+        walked = recorded_walker(*played, folder, rate_hz) if played else walker(folder, rate_hz or RATE_HZ)
         calibration = walked.calibration
         patient, pulses = None, None
         if closed_loop:
@@ -301,7 +308,8 @@ def start_devices(
         Needs.BUTTON: button_bus is not None,
         Needs.LONG_STAND: played is None,
         Needs.REALS: sensors in REALS,
-        Needs.UNSOUND: sensors == "capture2go",
+        Needs.UNSOUND: sensors.startswith("capture2go"),
+        Needs.CABLE: sensors not in WIRELESS,
     }
     return Devices(
         folder, transport, calibration, walked, stimulator, front, back, link, node, imus[0], imus[1], stack,

@@ -4,6 +4,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
 from typing import Final
 
+from fes import limits
+
 
 class Effect(StrEnum):
     """What a fault must do to the session."""
@@ -40,6 +42,7 @@ class Needs(StrEnum):
     BUTTON = "a CAN bus that a stop button can be on"
     SERIAL = "a simulated stimulator on a serial line"
     LONG_STAND = "the simulated patient, who stands for longer than a burst may last"
+    CABLE = "a sensor by cable: by radio each burst falls by prediction, long before its longest on-time"
     REALS = "a sensor that sends floating point: whole numbers have no NaN, and end at the range"
     UNSOUND = "a sensor with a flag for samples whose processing failed"
     FIFO = "fixed priorities (SCHED_FIFO) and a second processor"
@@ -225,7 +228,7 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     _harmless("view_frozen", "terminal view SIGSTOP for 2 s", needs=_PROC, variant="seen"),
     _harmless("page_frozen", "live page SIGSTOP for 2 s", needs=_PROC, variant="seen"),
     Scenario("phase_stuck", "phase stuck: stance without end", 3020, effect=Effect.BOUNDED, variant="stance",
-             needs=_SIM | {Needs.LONG_STAND},
+             needs=_SIM | {Needs.LONG_STAND, Needs.CABLE},
              response="the burst ends at its longest on-time, 3 s"),
     Scenario("dose", "more charge a minute than allowed", None, "mC within a minute", effect=Effect.DOSED,
              variant="dose", needs=_SIM, response="no more than the limit a minute, off, latched"),
@@ -260,3 +263,21 @@ SCENARIOS: Final = _ROWS + tuple(
     _at(row, moment) for moment in (Moment.STANCE, Moment.REST) for row in _ROWS if row.name in _LIES
 )
 BY_NAME: Final = {scenario.name: scenario for scenario in SCENARIOS}
+
+
+_RADIO_DEADLINES_MS: Final = {
+    100.0: limits.RADIO.max_data_age_ms + 50.0,  # of a sensor's faults: until its data are too old, and a lease
+    65.0: limits.RADIO.max_validity_ms + 5.0,  # the lease
+}
+_RADIO_LATCHES_S: Final = 0.25  # what is late by less ends a burst and latches nothing
+
+
+def by_radio(row: Scenario) -> Scenario:
+    """What is required where the sensor's samples come by radio, within the limits of that class."""
+    deadline_ms, fault, values = row.deadline_ms, row.fault, row.values
+    if deadline_ms == 65 or (deadline_ms == 100 and Needs.SENSOR in row.needs):
+        deadline_ms = _RADIO_DEADLINES_MS[deadline_ms]
+    if Needs.SENSOR in row.needs and row.unit == "s" and min(values) <= _RADIO_LATCHES_S:
+        values = tuple(value for value in values if value > _RADIO_LATCHES_S)
+        fault += f": those over {1e3 * _RADIO_LATCHES_S:g} ms"
+    return replace(row, deadline_ms=deadline_ms, fault=fault, values=values)

@@ -26,6 +26,7 @@ from statemachine.phases import Phase
 
 FOOT: Final = "right_foot"
 RATE_HZ: Final = 100.0
+SENSOR_HZ: Final = {"capture2go": 100.0, "capture2go_ble": 100.0, "witmotion": 100.0, "movella_dot": 60.0}  # only these
 STANDS_S: Final = 2.0  # at rest for so long at the recording's beginning
 WALKS_S: Final = 4.5
 STOPS_S: Final = 2.6  # a last step, then a stand that with the next beginning's lasts longer than a burst may
@@ -114,17 +115,17 @@ class Walker:
         return spans
 
 
-def walker(folder: Path) -> Walker:
-    """Write its files."""
+def walker(folder: Path, rate_hz: float = RATE_HZ) -> Walker:
+    """Write its files, for a sensor of this rate."""
     recording, calibration = folder / "walker.parquet", folder / "walker.calibration.json"
     walked, truth = walk_with_truth(_PATIENT, WALKS_S, STOPS_S, "walker", "simulated")
     write_recording(walked, recording, overwrite=True)
     save(calibrate_phase_sensors(recorded_walk(_PATIENT, CALIBRATION_S, STOPS_S, "walker", "simulated")), calibration)
     t_ns = walked.tracks[FOOT].t_sensor_ns
-    grid_ns = t_ns[0] + np.arange(len(t_ns)) * round(NS_PER_S / RATE_HZ)
+    grid_ns = np.arange(t_ns[0], t_ns[-1] + 1, NS_PER_S / rate_hz)
     foot = truth.feet[FOOT]
     at = np.clip(np.searchsorted(foot.t_ns, grid_ns), 0, len(foot.t_ns) - 1)
-    return Walker(recording, calibration, foot.phase[at] == Phase.STANCE)
+    return Walker(recording, calibration, foot.phase[at] == Phase.STANCE, rate_hz=rate_hz)
 
 
 CURRENT_MA: Final = 60.0
@@ -132,6 +133,9 @@ PULSE_WIDTH_US: Final = 300.0
 FREQUENCY_HZ: Final = 40.0
 INTENSITY: Final = 0.3  # 18 mA: an open lead is only told at 15 mA and above
 DOSE_MC: Final = 0.3  # three steps' worth
+_CABLE: Final = replace(
+    limits.CABLE, max_current_ma=80.0, max_charge_per_phase_uc=24.0, max_charge_per_minute_mc=50.0
+)  # by radio all that its class allows
 CHANNEL: Final = 0
 BUTTON_ID: Final = 0x3A0
 _BUTTON: Final = f"""
@@ -156,14 +160,14 @@ stop_phase = "{{stop}}"
 rise_s = 0.1
 
 [channels.limits]
-max_current_ma = 80.0
+max_current_ma = {{most.max_current_ma}}
 max_pulse_width_us = 400.0
 max_frequency_hz = 50.0
-max_charge_per_phase_uc = 24.0
-max_charge_per_minute_mc = {{dose_mc}}
+max_charge_per_phase_uc = {{most.max_charge_per_phase_uc}}
+max_charge_per_minute_mc = {{most.max_charge_per_minute_mc}}
 max_current_density_ma_per_cm2 = 1.0
 max_rise_ma_per_s = 800.0
-max_on_s = 3.0
+max_on_s = {{most.max_on_s}}
 min_off_s = 0.05
 """
 
@@ -183,10 +187,14 @@ def session_text(
     is :func:`reversed_axis`. ``sensors``: which kind it is.
     """
     start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
+    most = limits.RADIO if sensors in WIRELESS else _CABLE
+    if variant == "dose":
+        most = replace(most, max_charge_per_minute_mc=DOSE_MC)
     text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
+    text += f"validity_ms = {most.max_validity_ms}\nmax_data_age_ms = {most.max_data_age_ms}\n"
     foot, rate_hz = (worn_by.foot, worn_by.rate_hz) if worn_by else (FOOT, RATE_HZ)
     acc_mps2, gyr_radps = (worn_by.acc_range_mps2, worn_by.gyr_range_radps) if worn_by else (None, None)
-    text += _CHANNEL.format(foot=foot, start=start, stop=stop, dose_mc=DOSE_MC if variant == "dose" else 50.0)
+    text += _CHANNEL.format(foot=foot, start=start, stop=stop, most=most)
     text += _sensor_text(sensors, foot, sensor_port, rate_hz, acc_mps2, gyr_radps) + _stimulator_text(stimulator, bus)
     return text + (_BUTTON if variant == "button" else "")
 
