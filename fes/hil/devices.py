@@ -278,7 +278,9 @@ def start_devices(
     """
     rate_hz = SENSOR_HZ.get(sensors)
     if closed_loop and rate_hz not in (None, RATE_HZ):
-        raise Unavailable(f"{sensors} has {rate_hz:g} Hz, a virtual patient's sensors {RATE_HZ:g}. Leave out --closed-loop")
+        raise Unavailable(
+            f"{sensors} has {rate_hz:g} Hz, a virtual patient's sensors {RATE_HZ:g}. Leave out --closed-loop"
+        )
     try:
         walked = recorded_walker(*played, folder, rate_hz) if played else walker(folder, rate_hz or RATE_HZ)
         calibration = walked.calibration
