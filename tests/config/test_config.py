@@ -3,11 +3,28 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import ValidationError
+from replays import SETTINGS, cut, replay, trial
+from tuning_plant import BAND, BOUNDS, channel, tuning
 
-from fes.config import ConfigError, Session, load_session
+from fes.cli.cohort import apply_best
+from fes.cli.common import Problem
+from fes.cohort.sweep.table import Combination
+from fes.config import ConfigError, Session, Tuning, load_session, refuse_blind_targets
+from fes.config.thresholds import changed_thresholds, describe_thresholds, with_thresholds_table
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.sensor_choice import calibration_from_dict
+from fes.estimation.tracking.phase_features import FOLLOW, LEAST, MOST
+from fes.recording import write_recording
+from fes.report.findings import findings
+from fes.report.page import render_report
+from fes.report.summary import summarise
+from statemachine.guards import Thresholds
 
 GOOD = """\
 name = "morning"
@@ -243,3 +260,247 @@ def test_table_where_a_value_belongs_and_the_other_way_round(tmp_path: Path) -> 
     assert message(tmp_path, 'name = "a"\nchannels = 3\n').startswith("session.toml:2: channels = 3: ")
     assert message(tmp_path, 'name = "a"\nstimulation = "on"\n').startswith("session.toml:2: stimulation = 'on': ")
     assert message(tmp_path, "[name]\nx = 1\n").startswith("session.toml:1: name: Input should be a valid string")
+
+
+# --- ``[thresholds]``: what may be set, what it does, where it is shown, and that the log keeps every value ---
+
+
+def session(folder: Path, table: str) -> Path:
+    path = folder / "session.toml"
+    path.write_text(f"{SETTINGS.read_text()}\n[thresholds]\n{table}\n")
+    return path
+
+
+def test_numbers_factors_and_flags() -> None:
+    own = Thresholds()._replace(fall_radps=10.0)
+    new = changed_thresholds(
+        own, {"fall_radps": "x1.2", "heel_rise_share": 0.3, "swing_at_reversal": True, "origin": "somebody"}
+    )
+    assert new == own._replace(fall_radps=12.0, heel_rise_share=0.3, swing_at_reversal=True)
+    assert changed_thresholds(own, {}) == own
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("heel_rise = 0.3", "heel_rise is no threshold; perhaps heel_rise_"),
+        ("heel_rise_share = 5.0", "outside 0.25 to 4 times the default"),
+        ('fall_radps = "x9"', "outside 0.25 to 4 times the default"),
+        ('fall_radps = "many"', "must be a number, 0 or more"),
+        ("swing_at_reversal = 1.0", "must be true or false"),
+        ("rest_share = true", "must be a number, 0 or more"),
+        ("rest_share = -1.0", "must be a number, 0 or more"),
+    ],
+)
+def test_what_is_refused_and_with_which_words(tmp_path: Path, table: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        load_session(session(tmp_path, table))
+
+
+def test_a_session_that_sets_none_reads_as_it_did() -> None:
+    assert "thresholds" not in load_session(SETTINGS).model_dump_json()
+
+
+def test_a_file_gets_a_new_table_and_loses_the_old_one() -> None:
+    text = with_thresholds_table("a = 1\n[thresholds]\nrest_share = 0.2\n\n[live]\nb = 2\n", {"fall_radps": "x1.2"})
+    assert text == 'a = 1\n[live]\nb = 2\n\n[thresholds]\nfall_radps = "x1.2"\n'
+    assert (
+        describe_thresholds({"rest_share": 0.2, "origin": "me"})
+        == "thresholds of the session: rest_share 0.2 (from: me)"
+    )
+    assert describe_thresholds({}) == describe_thresholds({"origin": "me"}) == ""
+
+
+def test_they_hold_in_a_session_are_shown_and_every_value_is_in_the_log(tmp_path: Path) -> None:
+    path = tmp_path / "walk.parquet"
+    write_recording(cut(trial("negard_patient2"), 0.0, 30.0), path)
+    usual = replay(path, tmp_path / "a")
+    table = 'flat_rad = 0.02\nfall_radps = "x1.1"\norigin = "a test"'
+    record = replay(path, tmp_path / "b", session(tmp_path, table))
+    assert [c.t_ns for c in record.phases] != [c.t_ns for c in usual.phases], "they decide"
+    summary = summarise(record)
+    line = "Thresholds of the session: flat_rad 0.02, fall_radps x1.1 (from: a test)."
+    assert line in [finding.text for finding in findings(summary)]
+    page = render_report(record)
+    assert line[:-1] in page
+    assert "These measures followed the strides" in page
+
+    foot = calibration_from_dict(record.header["calibration"]["right_foot"])
+    assert isinstance(foot, FootCalibration)
+    calibration = foot.thresholds()
+    landings = [change for change in record.phases if change.destination.name == "STANCE"]
+    notes = [note for note in record.notes if note.source == "thresholds"]
+    assert [note.t_ns for note in notes] == [change.t_ns for change in landings], "one at each landing"
+    rows = {row.name: row for row in summary.measures}
+    assert rows["fall_radps"].begin == pytest.approx(1.1 * calibration.fall_radps)
+    for row in rows.values():
+        assert row.strides == len(landings)
+        assert (
+            LEAST * row.begin <= row.bounds[0] <= row.least <= row.last <= row.most <= row.bounds[1] <= MOST * row.begin
+        )
+    falls = [float(note.text.split("fall_radps ")[1].split(",")[0]) for note in notes]
+    steps = [abs(b - a) for a, b in pairwise(falls)]
+    assert max(steps) > 0.0
+    assert max(steps) < FOLLOW * 1.6 * max(falls)
+    assert not [notice for notice in summary.notices if notice.source == "thresholds"], "a table, not hundreds of notes"
+
+
+def combination(**settings: object) -> Combination:
+    return Combination({name.replace("__", "."): value for name, value in settings.items()}, {}, 1, 0, ())
+
+
+def test_the_best_of_a_sweep_is_written_with_its_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "best.toml"
+    with pytest.raises(Problem, match="nothing to write"):
+        apply_best([combination(), combination(thresholds__jerk_share=0.2)], SETTINGS, target, 1)
+    best = combination(thresholds__jerk_share=0.2, thresholds__fall_radps="x1.1", phases__swing_begins="reversal")
+    apply_best([best, combination()], session(tmp_path, "rest_share = 0.2\njerk_share = 0.9"), target, 3)
+    assert load_session(target).thresholds == {
+        "rest_share": 0.2,
+        "jerk_share": 0.2,
+        "fall_radps": "x1.1",
+        "origin": "fes sweep: best of 2 combinations on 3 cases",
+    }
+    assert load_session(target).phases.swing_begins == "peak"
+    assert "no thresholds: phases.swing_begins" in capsys.readouterr().out
+    apply_best([best, combination()], SETTINGS, target, 3, as_json=True)
+    assert capsys.readouterr().out == "", "stdout holds the JSON alone"
+    with pytest.raises(Problem, match=r"outside 0\.25 to 4 times"):
+        apply_best([combination(thresholds__jerk_share=9.0)], SETTINGS, target, 1)
+
+
+# --- Settings of the tuning: off by default, nothing without bounds and a target, never over the channel's lim ---
+
+
+TUNED = """
+[channels.tuning]
+mode = "suggest"
+toe_clearance_m = { low = 0.012, high = 0.035 }
+
+[channels.tuning.bounds]
+current_ma = { low = 10.0, high = 36.0 }
+pulse_width_us = { low = 200.0, high = 350.0 }
+start_delay_s = { low = 0.0, high = 0.2 }
+extension_s = { low = 0.0, high = 0.1 }
+"""
+GEOMETRY = """
+[geometry.right_foot]
+toe_forward_m = 0.12
+toe_up_m = -0.06
+heel_forward_m = -0.14
+heel_up_m = -0.06
+"""
+EARLY = BOUNDS | {"extension_s": {"low": -0.1, "high": 0.1}}
+PITCH = {"low": 4.0, "high": 25.0}
+
+
+def test_an_end_before_contact_is_allowed_where_its_effect_is_measured() -> None:
+    bounds = channel(tuning(bounds=EARLY, pitch_at_contact_deg=PITCH)).tuning
+    assert bounds is not None
+    assert bounds.bounds is not None
+    assert bounds.bounds.extension_s.low == -0.1
+    with pytest.raises(ValidationError):
+        channel(extension_s=-0.05)  # the channel's own, without a tuning that learns when contact comes
+
+
+@pytest.mark.parametrize(
+    ("phases", "said"),
+    [
+        ({"start_phase": "pre_swing", "stop_phase": "swing", "extension_s": 0.0}, 'not to stop_phase = "swing"'),
+        ({"start_phase": "stance", "stop_phase": "swing", "extension_s": 0.0}, 'start in "pre_swing" or "swing"'),
+    ],
+)
+def test_a_channel_that_lifts_no_foot_is_not_tuned(phases: dict[str, Any], said: str) -> None:
+    """Such as one on the calf, which pulls the toe down: it is stimulated at the session's own settings."""
+    with pytest.raises(ValidationError, match=said):
+        channel(tuning(), **phases)
+    channel(tuning(mode="off"), **phases)
+
+
+def test_tuning_is_off_unless_asked_for() -> None:
+    assert Tuning().mode == "off"
+    assert load_session(SETTINGS).channels[0].tuning is None
+
+
+def test_a_session_without_tuning_reads_as_it_did_before_there_was_any() -> None:
+    session = load_session(SETTINGS)
+    assert "tuning" not in session.model_dump_json()
+    assert Session.model_validate(session.model_dump()) == session
+
+
+def test_a_session_file_can_ask_for_it(tmp_path: Path) -> None:
+    path = tmp_path / "tuned.toml"
+    path.write_text(SETTINGS.read_text() + TUNED + GEOMETRY)
+    session = load_session(path)
+    refuse_blind_targets(session, path)
+    tuned = session.channels[0].tuning
+    assert tuned is not None
+    assert tuned.mode == "suggest"
+    assert tuned.bounds is not None
+    assert tuned.bounds.current_ma.high == 36.0
+    assert Session.model_validate_json(session.model_dump_json()) == session
+
+
+def test_a_target_that_nothing_can_measure_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "tuned.toml"
+    path.write_text(SETTINGS.read_text() + TUNED)
+    with pytest.raises(ConfigError, match=r"cannot be measured without \[geometry\.right_foot\]"):
+        refuse_blind_targets(load_session(path), path)
+    stand_in = "sensor_clearance_m = { low = 0.1, high = 0.2 }\n\n[channels.tuning.bounds]"
+    for text in (TUNED.replace('"suggest"', '"off"'), TUNED.replace("[channels.tuning.bounds]", stand_in)):
+        path.write_text(SETTINGS.read_text() + text)
+        refuse_blind_targets(load_session(path), path)
+
+
+def test_a_misspelt_setting_is_named_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "tuned.toml"
+    path.write_text(SETTINGS.read_text() + TUNED.replace("extension_s", "extention_s"))
+    with pytest.raises(ConfigError, match=r"tuned\.toml:\d+: .*extention_s.*is not a setting"):
+        load_session(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"bounds": None}, "needs bounds"),
+        ({"toe_clearance_m": None}, "needs a target"),
+        ({"toe_clearance_m": {"low": 0.03, "high": 0.01}}, "must be below"),
+        ({"toe_clearance_m": {"low": 20.0, "high": 50.0}}, "toe_clearance_m is in metres, at most 0.2, got 20 to 50"),
+        ({"sensor_clearance_m": {"low": 10.0, "high": 20.0}}, "sensor_clearance_m is in metres, at most 1"),
+        ({"bounds": BOUNDS | {"current_ma": {"low": 40.0, "high": 10.0}}}, "must not be above"),
+        ({"bounds": BOUNDS | {"extension_s": {"low": -0.2, "high": 0.1}}}, "greater than or equal to -0.1"),
+        ({"bounds": BOUNDS | {"start_delay_s": {"low": -0.1, "high": 0.1}}}, "greater than or equal to 0"),
+        ({"max_change_ma": 0.0}, "greater than 0"),
+        ({"max_change_ma": 20.0}, "less than or equal to 5"),
+        ({"gain": 1.5}, "less than or equal to 1"),
+        ({"mode": "on"}, "'off', 'suggest' or 'act'"),
+    ],
+)
+def test_a_tuning_that_says_too_little_or_too_much_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        tuning(**changes)
+
+
+@pytest.mark.parametrize(
+    ("tuned", "changes", "said"),
+    [
+        ({"bounds": BOUNDS | {"current_ma": {"low": 10.0, "high": 50.0}}}, {}, "max_current_ma = 45"),
+        ({"bounds": BOUNDS | {"current_ma": {"low": 31.0, "high": 40.0}}}, {}, "must contain the channel's 30"),
+        ({"method": "learning", "bounds": BOUNDS | {"pulse_width_us": {"low": 100.0, "high": 460.0}}}, {}, "450"),
+        ({}, {"pulse_width_us": 400.0, "current_ma": 20.0, "rise_s": 0.09}, "max_rise_ma_per_s"),
+        ({}, {"start_phase": "stance", "stop_phase": "swing"}, "start in"),
+        ({"bounds": BOUNDS | {"extension_s": {"low": 0.0, "high": 0.9}}}, {}, "extension_s to 0.5"),
+        ({"bounds": EARLY}, {}, "needs pitch_at_contact_deg"),
+        ({"bounds": EARLY, "pitch_at_contact_deg": PITCH}, {"stop_phase": "stance"}, 'stop_phase = "loading_response"'),
+    ],
+)
+def test_a_tuning_that_could_leave_the_limits_is_refused(
+    tuned: dict[str, Any], changes: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ValidationError, match=said):
+        channel(tuning(**tuned), **changes)
+
+
+def test_what_is_off_needs_nothing() -> None:
+    assert channel(Tuning()).tuning == Tuning(mode="off")
+    assert BAND["low"] < BAND["high"]
