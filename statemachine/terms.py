@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from statemachine.guards import Features, Thresholds
 
 Guard = Callable[[Features, Thresholds], bool]
@@ -27,6 +29,10 @@ FLAG: Final = "yes or no"  # instead of a unit
 _OPPOSITE: Final = {"<": "≥", "≥": "<", ">": "≤", "≤": ">"}
 _YES_NO: Final = {True: "yes", False: "no"}
 _NEGATED: Final = {"toe down": "toe up"}  # what has a name of its own the other way round
+
+
+class Undecided(ValueError):
+    """Of two thresholds that are arrays, now the one is greater and now the other."""
 
 
 class _Joined:
@@ -47,7 +53,7 @@ def _parts(one: Any, every: bool) -> tuple[Any, ...]:
 class Term(_Joined):
     """One comparison: ``what`` was ``seen`` and had to be ``sign`` ``limit``; ``limit_is`` says of what it is made.
 
-    Of features that are arrays (N,), ``seen``, ``limit`` and ``holds`` may be arrays (N,) too.
+    Of what are arrays (N,), ``seen``, ``limit`` and ``holds`` may be arrays (N,) too.
     """
 
     what: str
@@ -58,8 +64,10 @@ class Term(_Joined):
     unit: str
     holds: Any
 
-    def __bool__(self) -> bool:
-        return bool(self.holds)  # ``max`` and ``min`` of two thresholds compare them
+    def __bool__(self) -> bool:  # ``max`` and ``min`` of two thresholds compare them
+        if np.all(self.holds) != np.any(self.holds):
+            raise Undecided
+        return bool(np.all(self.holds))
 
     def __str__(self) -> str:
         return self._said(self.sign)
@@ -109,7 +117,11 @@ def _lacking(part: Term | Terms) -> str:
 
 
 def terms_of(guard: Guard, x: Features, p: Thresholds) -> Terms:
-    """What ``guard`` made of these features and thresholds; of N samples at once if the features are arrays (N,)."""
+    """What ``guard`` made of these features and thresholds; of N samples at once if they are arrays (N,).
+
+    Raises:
+        Undecided: which threshold holds is not the same at all N samples.
+    """
     found: Any = guard(_traced(x, feature_words), _traced(p, str))
     return found if isinstance(found, Terms) else Terms(True, (found,))
 

@@ -44,7 +44,7 @@ from fes.walk_record import SampleArrays, WalkRecord
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, Transition
 from statemachine.table import TABLE
-from statemachine.terms import FLAG, Term, Terms, terms_of
+from statemachine.terms import FLAG, Term, Terms, Undecided, terms_of
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.walk import HemipareticWalk
@@ -181,13 +181,13 @@ def _foot(trace: GuardTrace, origin_ns: int) -> dict[str, Any]:
     each comparison. ``limit_is``: from which row on, what differs from before.
     """
     begins, samples = [row for row, _ in trace.thresholds], len(trace.t_ns)
+    lasting = np.diff([*begins, samples])
+    limits = np.repeat(np.array([each for _, each in trace.thresholds], dtype=float).T, lasting, axis=1)
     blocks, limit_is, before = [], [], list[str]()
-    for (row, thresholds), end in zip(trace.thresholds, [*begins[1:], samples], strict=True):
-        x = Features(*trace.features[row:end].T)
-        terms = [term for guard in TABLE for term in terms_of(guard.guard, x, thresholds).each()]
-        kinds = [term.seen for term in terms], [term.limit for term in terms], [term.holds for term in terms]
+    for row, end, compared in _compared(trace.features.T, limits, 0, samples):
+        kinds = [term.seen for term in compared], [term.limit for term in compared], [term.holds for term in compared]
         blocks.append(np.array([np.broadcast_to(each, end - row) for kind in kinds for each in kind]))
-        now = [term.limit_is for term in terms]
+        now = [term.limit_is for term in compared]
         limit_is.append([row, {k: words for k, words in enumerate(now) if [words] != before[k : k + 1]}])
         before = now
     each = np.concatenate(blocks, axis=1).astype("<f4")
@@ -195,7 +195,7 @@ def _foot(trace: GuardTrace, origin_ns: int) -> dict[str, Any]:
     columns = []
     for column in each[: 2 * len(before)]:
         few = column[begins]
-        same = np.array_equal(np.repeat(few, np.diff([*begins, samples])), column)
+        same = np.array_equal(np.repeat(few, lasting), column)
         columns.append(values.setdefault((few if same else column).tobytes(), len(values)))
     return {
         "foot": readable(trace.foot),
@@ -210,6 +210,17 @@ def _foot(trace: GuardTrace, origin_ns: int) -> dict[str, Any]:
         "walking": trace.walking,
         "same": trace.same,
     }
+
+
+def _compared(features: FloatArray, limits: FloatArray, begin: int, end: int) -> Iterator[tuple[int, int, list[Term]]]:
+    """All comparisons over stretches of the samples (F, N), thresholds (L, N), in which they are of the same things."""
+    x, p = Features(*features[:, begin:end]), Thresholds(*limits[:, begin:end])
+    try:
+        yield begin, end, [term for row in TABLE for term in terms_of(row.guard, x, p).each()]
+    except Undecided:
+        middle = (begin + end) // 2
+        yield from _compared(features, limits, begin, middle)
+        yield from _compared(features, limits, middle, end)
 
 
 def _packed(values: Any, kind: str) -> str:

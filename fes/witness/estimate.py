@@ -62,11 +62,14 @@ class Spans:
         """Only these strides."""
         return replace(self, first=self.first[which], last=self.last[which])
 
-    def thinned(self, most: int) -> Spans:
-        """So many strides at most, evenly chosen."""
+    def thinned(self, most: int, newest: int = 0) -> Spans:
+        """So many strides at most, evenly chosen, and the newest ones besides."""
         if len(self) <= most:
             return self
-        return self.part(np.isin(np.arange(len(self)), np.linspace(0, len(self) - 1, most).astype(int)))
+        order = np.arange(len(self))
+        return self.part(
+            np.isin(order, np.linspace(0, len(self) - 1, most).astype(int)) | (order >= len(self) - newest)
+        )
 
     def t_ns(self, stride: int) -> int:
         """When a stride begins."""
@@ -231,5 +234,8 @@ def biases_of(spans: Spans) -> FloatArray:
         change = ((residuals[1:] - residuals[0]) / STEP[BIAS][:, None, None] / STRIDE_SCATTER).transpose(1, 2, 0)
         normal = np.einsum("kri,krj->kij", change, change) + prior
         scores = np.einsum("kri,kr->ki", change, off) + (sensors - np.array(SOUND))[:, BIAS] / STRIDE_BIAS_SD_RADPS**2
-        sensors[:, BIAS] -= np.clip(np.linalg.solve(normal, scores[..., None])[..., 0], -0.2, 0.2)
+        step = np.clip(np.linalg.solve(normal, scores[..., None])[..., 0], -0.2, 0.2)
+        sensors[:, BIAS] -= step
+        if (np.abs(step) < ENOUGH[BIAS]).all():
+            break
     return sensors[:, BIAS]

@@ -212,6 +212,8 @@ def _split(gained: FloatArray) -> int:
 def _axes(spans: Spans) -> Lie | None:
     """Axes with a wrong sign, exchanged or left-handed: of all ways to put them one that closes, where as they are the
     strides do not; of those that are not surely worse, the simplest."""
+    if len(spans) > MOST + FEWEST and _axes(spans.thinned(MOST, FEWEST)) is None:
+        return None
     tried = closures(spans.samples, spans.first, spans.last, np.tile(SOUND, (len(_TURNS), 1)), np.array(_TURNS))
     tried = np.nan_to_num(tried, nan=1e3)
     gained = np.array([_better(tried[0], each) for each in tried])
@@ -275,19 +277,25 @@ def _named(turn: FloatArray) -> tuple[FloatArray, FloatArray, str]:
 def _bias_step(spans: Spans) -> list[Lie]:
     """The axis of the gyroscope whose bias changes for good at some stride; a constant one is calibrated away."""
     biases = biases_of(spans)
-    count = len(spans)
-    splits = range(FEWEST_OF_PART, count - FEWEST_OF_PART + 1)
-    steps = [np.median(biases[k:], axis=0) - np.median(biases[:k], axis=0) for k in splits]
-    left = [np.abs(biases[:k] - np.median(biases[:k], axis=0)).sum() for k in splits]
-    right = [np.abs(biases[k:] - np.median(biases[k:], axis=0)).sum() for k in splits]
-    best = int(np.argmin(np.add(left, right)))
-    at, axis = splits[best], int(np.argmax(np.abs(steps[best])))
-    step, before, after = float(steps[best][axis]), biases[:at, axis], biases[at:, axis]
+    splits = np.arange(FEWEST_OF_PART, len(spans) - FEWEST_OF_PART + 1)
+    apart = -(-splits.size // MOST)  # of many strides some first, then those near the best of them
+    best = _parting(biases, splits[::apart])
+    at = _parting(biases, splits[np.abs(splits - best) < apart])
+    before, after = biases[:at], biases[at:]
+    steps = np.median(after, axis=0) - np.median(before, axis=0)
+    axis = int(np.argmax(np.abs(steps)))
+    step, before, after = float(steps[axis]), before[:, axis], after[:, axis]
     noise = 1.4826 * max(float(np.median(np.abs(part - np.median(part)))) for part in (before, after))
     sd = 1.25 * noise * math.hypot(*(_uncertain(1.0, len(part)) / math.sqrt(len(part)) for part in (before, after)))
     if abs(step) < math.hypot(BIAS_LEAST_RADPS, SURE * sd):
         return []
     return [Lie("gyr_bias", step, sd, spans.t_ns(at), len(after), "xyz"[axis])]
+
+
+def _parting(values: FloatArray, splits: IntArray) -> int:
+    """The split on whose two sides the values (K, 3) scatter least about their medians."""
+    scatter = [sum(np.abs(part - np.median(part, axis=0)).sum() for part in np.split(values, [k])) for k in splits]
+    return int(splits[np.argmin(scatter)])
 
 
 def corrected(track: Track, lies: tuple[Lie, ...]) -> Track:
