@@ -15,7 +15,7 @@ from replays import Replays
 from drivers.simulated import spawn as can_node_spawn
 from fes.config import Bus
 
-# "interface:channel": the bus that CAN tests use instead of multicast, see tests/drivers/test_imu_codecs.py
+# "interface:channel": the bus that CAN tests use instead of multicast, see tests/drivers/test_socketcan_guest.py
 if TEST_BUS := os.environ.get("FES_TEST_BUS", ""):
     plain_free_bus = can_node_spawn.free_bus
 

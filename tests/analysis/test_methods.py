@@ -140,7 +140,7 @@ def test_the_command_takes_other_methods(tmp_path: Path) -> None:
     assert CliRunner().invoke(main, ["analyse", str(TRIAL), "--detector", "glrt"]).exit_code == 2
 
 
-# --- Off-line tables carry the off-line instant and the live machine's side by side, in every table and file f ---
+# --- Off-line tables carry the off-line instant and the live machine's side by side ---
 
 
 ENTRIES = {"T1": "t_pre_swing", "T2": "t_swing", "T3": "t_loading_response", "T4": "t_stance"}

@@ -459,7 +459,7 @@ def test_every_bundled_trial_has_parameters(name):
             assert not v["stride_time_s"] <= v["swing_s"]
 
 
-# --- Foot off of slow walks, from the stride's path: where the quiet roll ends, not where something merely tre ---
+# --- Foot off of slow walks, from the stride's path: where the quiet roll ends ---
 
 
 LEAVES_S, OFFLINE_S, LANDS_S, END_S = 0.6, 0.66, 1.0, 1.4

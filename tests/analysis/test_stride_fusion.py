@@ -134,7 +134,7 @@ def test_a_strides_way_is_as_long_as_its_fused_length() -> None:
             assert stride.trajectory_m[-1, 0] == pytest.approx(stride.stride_length_m, rel=1e-9)
 
 
-# --- Swings from the raw signals: as many as a known movement has, whatever the axes, the rate and what lies b ---
+# --- Swings from the raw signals: as many as a known movement has ---
 
 
 STRIDE_S = 1.2

@@ -420,7 +420,7 @@ def test_a_log_of_which_no_report_can_be_made_ends_in_words(tmp_path: Path, capf
     assert "Traceback" not in said.out + said.err
 
 
-# --- A serial port told again what it was told and what it heard sends the same bytes, whatever its device did ---
+# --- A serial port told again what it was told and what it heard sends the same bytes ---
 
 
 @pytest.mark.parametrize("silent", [(), (20, 24), (20, 40)], ids=["well", "two answers lost", "mute for 0.4 s"])

@@ -219,7 +219,7 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path: Path, monkeypatch: p
     assert "no Dask scheduler answers" in result.output
 
 
-# --- Cadence, steps, asymmetry and variability of a recording; groups held against each other, on the page too ---
+# --- Cadence, steps, asymmetry and variability of a recording; groups held against each other ---
 
 
 def true_strides() -> dict[str, list[dict[str, float]]]:

@@ -262,7 +262,7 @@ def test_table_where_a_value_belongs_and_the_other_way_round(tmp_path: Path) -> 
     assert message(tmp_path, "[name]\nx = 1\n").startswith("session.toml:1: name: Input should be a valid string")
 
 
-# --- ``[thresholds]``: what may be set, what it does, where it is shown, and that the log keeps every value ---
+# --- ``[thresholds]``: what may be set, what it does, where it is shown ---
 
 
 def session(folder: Path, table: str) -> Path:
@@ -369,7 +369,7 @@ def test_the_best_of_a_sweep_is_written_with_its_origin(tmp_path: Path, capsys: 
         apply_best([combination(thresholds__jerk_share=9.0)], SETTINGS, target, 1)
 
 
-# --- Settings of the tuning: off by default, nothing without bounds and a target, never over the channel's lim ---
+# --- Settings of the tuning: off by default, nothing without bounds and a target ---
 
 
 TUNED = """

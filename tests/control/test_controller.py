@@ -284,7 +284,7 @@ def test_geometry_sets_the_sensor_height(calibrations: dict[str, FootCalibration
         assert tracker._maker.settings.geometry == dict(session.geometry).get(FOOT)
 
 
-# --- The example session with a channel on the gastrocnemius, on a virtual patient: pulses as the stimulator g ---
+# --- The example session with a channel on the gastrocnemius, on a virtual patient ---
 
 
 PATIENT = settings_for("severe", seed=3, sensors=("right_foot",), calf_channel=1)

@@ -195,7 +195,7 @@ def test_every_result_has_words() -> None:
     assert sm2.signed(b"\xfd") == -3
 
 
-# --- A walking session's own commands through the ScienceMode ports to the simulated devices, on an injected c ---
+# --- A walking session's own commands through the ScienceMode ports to the simulated devices ---
 
 
 MS = 1_000_000

@@ -195,7 +195,7 @@ def test_a_switch_leaves_a_line_alone_that_another_device_has() -> None:
         os.close(line)
 
 
-# --- Options of a session's devices: what is no number, no whole number, or neither yes nor no is refused by n ---
+# --- Options of a session's devices ---
 
 
 NO_WHOLE = (1.5, 1.0, True, "1", math.nan, math.inf)

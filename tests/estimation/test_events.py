@@ -395,7 +395,7 @@ def test_foot_strike_angle_is_free_of_the_gyroscopes_calibrated_bias_and_unknown
     assert np.isnan(foot_strike_angles(t_ns[:cut], gyr[:cut], events, c)[-1])
 
 
-# --- IC and FO of feet that strong stimulation lifts: off-line and by the path, against the virtual patient's  ---
+# --- IC and FO of feet that strong stimulation lifts: off-line and by the path ---
 
 
 NEAR_S = 0.07  # the off-line IC of a slow foot is up to 65 ms early; the path sets it right

@@ -181,7 +181,7 @@ def test_where_nothing_can_be_told_it_says_so(monkeypatch: pytest.MonkeyPatch) -
         foot_samples(t_ns, acc, gyr)
 
 
-# --- Zero-velocity detectors: Skog's formulas, causal and centred windows, thresholds that calibrate themselve ---
+# --- Zero-velocity detectors: Skog's formulas, causal and centred windows ---
 
 
 UP = np.array([0.0, 0.0, G_MPS2])

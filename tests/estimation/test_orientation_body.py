@@ -405,7 +405,7 @@ def test_the_first_sample_is_the_upright() -> None:
     np.testing.assert_allclose(to_world(*path.quaternion[0], 3.0, 4.0, 5.0), [0.0, 0.0, math.sqrt(50.0)], atol=1e-12)
 
 
-# --- The orientation benchmark's own arithmetic: heading-free errors, delays, missing packages, unreadable fil ---
+# --- The orientation benchmark's own arithmetic: heading-free errors, delays, missing packages ---
 
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -291,7 +291,7 @@ def test_what_is_no_walking_does_not_stimulate(what: str) -> None:
     assert not any(request.on for request in asked)
 
 
-# --- Shank strides on an inverted pendulum with exact truth: reset, lever arm, calibration, stairs, what goes  ---
+# --- Shank strides on an inverted pendulum with exact truth: reset, lever arm, calibration, stairs ---
 
 
 def calibrated(walk: ShankWalk, *, prior: ArmPrior = SHANK) -> ShankCalibration:

@@ -757,7 +757,7 @@ def test_the_page_shows_the_columns() -> None:
     assert markdown() in DOCS.read_text(encoding="utf-8"), "write it anew from fes.estimation.strides.schema.markdown()"
 
 
-# --- Steps backward, walked with the calibration of a walk forward: refused, so that no burst follows them ---
+# --- Steps backward, walked with the calibration of a walk forward: refused ---
 
 
 def turned_round(track: Track) -> Track:

@@ -224,7 +224,7 @@ def test_two_replays_are_identical_and_changed_settings_show(tmp_path: Path) -> 
     assert all(result.spread(name).greatest == 0.0 for name in ("length_cm", "clearance_cm", "T2_ms", "T3_ms", "on_ms"))
 
 
-# --- Means of two walks held against each other: the interval covers as often as it says, and behaves at its e ---
+# --- Means of two walks held against each other: the interval covers as often as it says ---
 
 
 FEW = st.lists(st.floats(-100.0, 100.0), min_size=6, max_size=40)

@@ -391,7 +391,7 @@ def test_spoiled_recordings(suffix: str, tmp_path: Path, capsys: pytest.CaptureF
         print(f"\nrecordings ({suffix}): {count} spoiled files, {read} read, the rest named their fault")
 
 
-# --- Stimulator ports hear intact messages that make no sense: they report faults, or that the device is lost, ---
+# --- Stimulator ports hear intact messages that make no sense: they report faults, or that the device is lost ---
 
 
 class Chatty:

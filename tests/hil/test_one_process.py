@@ -223,7 +223,7 @@ def test_the_session_it_writes_is_one(tmp_path: Path, tuning: str) -> None:
     assert median([channel.tuning.bounds.current_ma.low, 40.0]) == 25.0 if channel.tuning.bounds else False
 
 
-# --- The loop closed on simulated time: patient, controller, gate, the stimulator's end of the line, and back ---
+# --- The loop closed on simulated time: patient, controller, gate, the stimulator's end of the line ---
 
 
 SESSION = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"

@@ -547,7 +547,7 @@ def test_a_space_anywhere_is_a_stop_and_comes_first(before: bytes, after: bytes)
     assert typed_in_pieces([(before + b" " + after, 0)])[0] is Kind.STOP
 
 
-# --- The keyboard, and with it the stop key, goes in mid-session: nobody may go on believing that it is there ---
+# --- The keyboard, and with it the stop key, goes in mid-session ---
 
 
 def not_again() -> Opened:

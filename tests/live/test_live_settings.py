@@ -323,7 +323,7 @@ def test_what_the_logs_disk_is_behind_with_is_shown_while_it_lasts_and_its_end_a
     ]
 
 
-# --- Exercise: bursts by the clock, without gait, through the same gate; what it may be and does, and what is  ---
+# --- Exercise: bursts by the clock, without gait, through the same gate; what it may be and does ---
 
 
 CYCLE = "[exercise]\non_s = 1.0\noff_s = 2.0\nrise_s = 0.3\nfall_s = 0.2\ncount = 3\n"

@@ -195,7 +195,7 @@ def test_a_session_in_which_the_feet_are_exchanged_latches_and_cannot_be_armed(
     line.close()
 
 
-# --- A sample is never dated before its arrival: a single date too early makes all later samples seem old for  ---
+# --- A sample is never dated before its arrival ---
 
 
 FOOT = "right_foot"

@@ -176,7 +176,7 @@ def test_what_the_loop_does_on_purpose_once_it_is_off_is_no_stall(
     assert record.summary["stalls"] == 0
 
 
-# --- A live session's memory does not grow: ``live_memory.py``, which can do an hour, for two minutes of a ses ---
+# --- A live session's memory does not grow: ``live_memory.py``, which can do an hour ---
 
 
 BENCHMARK = Path(__file__).with_name("live_memory.py")

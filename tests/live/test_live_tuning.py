@@ -209,7 +209,7 @@ def test_the_terminal_view_shows_it() -> None:
     assert "channel 0:" not in drawn(Status(1, "running", tuning={"0": TuningStatus()}))
 
 
-# --- The witness of a live session's foot sensors: heard after each stride, over a log that grows, told and sh ---
+# --- The witness of a live session's foot sensors: heard after each stride, over a log that grows ---
 
 
 TRIAL = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_100hz.parquet"

@@ -133,7 +133,7 @@ def test_stamps_that_do_not_go_back_are_mapped_to_ones_that_do_not(steps: list[t
         last_ns = mapped_ns
 
 
-# --- ScienceMode4 against the vendor's own Python package on random parameters, and properties of decoder and  ---
+# --- ScienceMode4 against the vendor's own Python package on random parameters ---
 
 
 oracle: Any = pytest.importorskip("science_mode_4", reason="the science-mode-4 package is not installed")

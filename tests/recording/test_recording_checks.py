@@ -541,7 +541,7 @@ def test_parquet_places_are_rows_and_text_is_refused(tmp_path: Path) -> None:
         read_recording(path)
 
 
-# --- Packet counters, sample numbers and device clocks are proposed as time, so that lost samples leave gaps ---
+# --- Packet counters, sample numbers and device clocks are proposed as time ---
 
 
 VALUES = [f"{kind}_{axis}" for kind in ("Acc", "Gyr") for axis in "XYZ"]

@@ -310,7 +310,7 @@ def test_an_analysis_has_no_empty_sections_of_stimulation() -> None:
     assert not [text for text in texts(summarise(record)) if "timulat" in text]
 
 
-# --- The terminal's tables: every number is there, the width is kept, nothing in a log is taken for markup ---
+# --- The terminal's tables: every number is there, the width is kept ---
 
 
 def shown(renderable, width: int = 100) -> list[str]:
@@ -379,7 +379,7 @@ def test_an_empty_session_still_has_a_summary():
     assert "No stride was found" in text
 
 
-# --- Compiled templates are kept, made anew when a template changes, and done without where nothing can be kep ---
+# --- Compiled templates are kept, made anew when a template changes ---
 
 
 def rendered(text: str) -> str:

@@ -285,7 +285,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     assert peaks[1] < 1.5 * peaks[0]
 
 
-# --- A session log as C3D: read back with the library, its signals, current and events are those of the log ---
+# --- A session log as C3D: read back with the library ---
 
 
 ezc3d = pytest.importorskip("ezc3d", reason="writing C3D is an extra")

@@ -183,7 +183,7 @@ def test_a_spoilt_truth_file_is_named(tmp_path: Path) -> None:
         load_truth(tmp_path / "example_csv.csv")
 
 
-# --- The building blocks of motion, and the foot that rolls: derivatives are exact, the sole neither sinks nor ---
+# --- The building blocks of motion, and the foot that rolls: derivatives are exact ---
 
 
 FINE = np.arange(0.0, 2.0, 1e-4)

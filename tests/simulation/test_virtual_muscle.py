@@ -233,7 +233,7 @@ def test_the_end_of_the_range_does_not_throw_the_foot_back() -> None:
     assert fastest < 0.6 * math.sqrt(2.0 * stored / inertia)  # of a spring that loses nothing
 
 
-# --- The stimulated calf: more push-off from pulses at heel rise, and a toe that is pulled down by pulses in s ---
+# --- The stimulated calf: more push-off from pulses at heel rise ---
 
 
 CALF = 1
@@ -313,7 +313,7 @@ def test_two_muscles_cannot_share_a_channel() -> None:
         PatientSettings(calf=MuscleSettings(threshold_uc=12.0))
 
 
-# --- What the product's own estimators make of a virtual patient's signals: as good as on real ones, against t ---
+# --- What the product's own estimators make of a virtual patient's signals: as good as on real ones ---
 
 
 CASES = {

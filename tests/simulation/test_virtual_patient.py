@@ -408,7 +408,7 @@ def test_a_result_of_another_tuning_counts_as_none(tmp_path: Path) -> None:
     assert not Kept(file).results
 
 
-# --- The second patient, which judges the tuning: its sensor feels what a foot does, and nothing that no foot  ---
+# --- The second patient, which judges the tuning: its sensor feels what a foot does ---
 
 
 @pytest.fixture
@@ -450,7 +450,7 @@ def test_its_foot_shakes_as_real_feet_do(second: Any) -> None:
     assert abs(median(shares) / real - 1.0) < 0.2
 
 
-# --- Patients drawn for a cohort: all five slow walks, bodies and delays that differ, twitches as published ---
+# --- Patients drawn for a cohort: all five slow walks, bodies and delays that differ ---
 
 
 def test_fifteen_in_a_row_have_all_five_slow_walks() -> None:

@@ -352,7 +352,7 @@ def test_sessions_that_cannot_be_served() -> None:
         open_stimulator(low, changed(), 1)
 
 
-# --- Every kind of simulated device in its process: what it is told, what it answers, and why it is not there ---
+# --- Every kind of simulated device in its process: what it is told, what it answers ---
 
 
 NO_BUS = why_silent(free_bus(LOOPBACK))
