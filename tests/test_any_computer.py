@@ -123,7 +123,7 @@ def test_a_lock_on_windows(tmp_path: Path) -> None:
     """One that somebody holds is told as elsewhere, and waited for longer than Windows waits."""
     program = """
 import threading
-from fes.estimation.numerics.file_lock import lock
+from fes.estimation.numerics.jit import lock
 one, other = open("lock", "a"), open("lock", "a")
 one.write("x")
 one.flush()

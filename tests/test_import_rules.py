@@ -303,7 +303,7 @@ def test_the_gate_loads_neither_controller_nor_drivers() -> None:
     names_of_thresholds = {"statemachine", "statemachine.guards"}
     numerics = {
         "fes.estimation",
-        *(f"fes.estimation.numerics{name}" for name in ("", ".file_lock", ".jit", ".records")),
+        *(f"fes.estimation.numerics{name}" for name in ("", ".jit", ".records")),
     }
     signals = {"fes", "fes.signals", "fes.limits", "fes.extensions", *of("fes.config")}
     assert loaded == signals | names_of_thresholds | numerics

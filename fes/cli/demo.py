@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import click
 
+from drivers.imu.port import ImuLost
+from drivers.stimulator.port import StimulatorLost
 from fes.cli.common import (
     LOG_SUFFIX,
     STIMULATORS,
@@ -26,11 +28,15 @@ from fes.cli.common import (
     utc_now,
     writing,
 )
+from fes.config import validate_session
+from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.closed_loop import one_process
+from fes.hil.closed_loop.bench import start_patient_bench
 from fes.hil.closed_loop.one_process import LOW_MM, outcome, run_in_one_process
-from fes.hil.closed_loop.processes import Protocol
+from fes.hil.closed_loop.processes import Protocol, run_between_processes
+from fes.hil.settings import patient_calibration, patient_session_text
 from fes.live.status import Status
-from fes.session_log import Note, SessionLogError
+from fes.session_log import Note, SessionLogError, read_session
 from fes.signals import NS_PER_S
 from fes.simulation import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualStride
@@ -201,9 +207,7 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
 def _in_one_process(
     settings: PatientSettings, plan: Protocol, folder: Path, view: LoopView, on_stride: Any, interrupt: Interrupt
 ) -> Path:
-    from fes.config import validate_session
     from fes.estimation.warm_up import warm_up
-    from fes.hil.settings import patient_calibration, patient_session_text
 
     text = patient_session_text(settings, current_ma=one_process.CURRENT_MA)
     (folder / "session.toml").write_text(text, encoding="utf-8")
@@ -231,12 +235,6 @@ def _between_processes(
     interrupt: Interrupt,
     stimulator: str,
 ) -> tuple[Path, dict[str, Any]]:
-    from drivers.imu.port import ImuLost
-    from drivers.stimulator.port import StimulatorLost
-    from fes.hil.campaign_bench import CampaignBroken
-    from fes.hil.closed_loop.bench import start_patient_bench
-    from fes.hil.closed_loop.processes import run_between_processes
-
     view.state("starting patient, stimulator and controller, each a process of its own")
     shown: dict[str, str] = {}
 
@@ -262,7 +260,6 @@ def _between_processes(
 
 def _report(log: Path, path: Path) -> None:
     from fes.report.page import write_report
-    from fes.session_log import read_session
 
     with writing(path, f". The log is whole: {log}", StoppedEarly):
         write_report(read_session(log), path)

@@ -35,8 +35,9 @@ from drivers.switches import SwitchFailed, open_switch
 from fes.cli.common import FAILED, PATH, Number, cannot_be_seen, not_there
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, ImuDevice, Session, Switch, load_session, refuse_blind_targets
+from fes.estimation.sensor_choice import phase_sensors
 from fes.estimation.warm_up import COMPILES, NOT_COMPILED, warm_up
-from fes.live.realtime import Grant, fixed_priority, locked_memory
+from fes.live.processes import Grant, fixed_priority, locked_memory
 from fes.live.sensor_monitor import RATE_TOLERANCE, alive_ns
 from fes.session_log import SessionLogError
 from fes.session_log.writer import SessionWriter
@@ -476,7 +477,6 @@ def command(session: Path | None, out: Path | None, stop_file: Path | None, hour
 
 def examined(path: Path | None, out: Path | None, stop_file: Path | None, hours: float) -> Iterator[Finding]:
     """One finding after the other, as they come."""
-
     session: Session | None = None
     if path is not None:
         try:
@@ -510,7 +510,6 @@ def settings(path: Path, session: Session, stop_file: Path | None = None) -> Ite
         yield ok("session", f"{path}: all limits are present ({names})")
     if not session.sensors:
         yield failure("session", f"{path}: has no [[sensors]] table", "add one for each sensor; see docs/live.md")
-    from fes.estimation.sensor_choice import phase_sensors  # with the estimation behind it
 
     driven = phase_sensors(str(device.sensor) for device in session.sensors)
     for channel in session.channels:

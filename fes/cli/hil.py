@@ -22,7 +22,7 @@ from fes.cli.common import (
     need_extra,
     out_option,
 )
-from fes.cli.replay.log import prepared
+from fes.cli.replay.command import prepared
 from fes.cli.show import print_json
 from fes.config import WIRELESS, ConfigError
 from fes.estimation.foot.calibration import CalibrationError

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 import click
 
 from fes.cli.common import FAILED, PATH, Number, Problem, fail, failing, writing
-from fes.cli.show import print_json
+from fes.cli.show import print_json, screen
 from fes.config import ConfigError
-from fes.session_log import SessionLogError
+from fes.session_log import SessionLogError, read_session
 from fes.session_log.framing import RecordType
 from fes.session_log.repair import NAMES, Survey, recover, survey
+from fes.signals import NS_PER_S
 
 if TYPE_CHECKING:
-    from fes.cli.replay.log import Repeated
+    from fes.cli.replay.command import Repeated
 
 
 @click.command(name="report")
@@ -26,12 +27,9 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout: where the report is.")
 def report_command(log: Path, out: Path | None, summary: bool, as_json: bool) -> None:
     """Write the HTML report of the session log LOG."""
-    from fes.cli.show import print_json, screen
     from fes.report.page import write_report
     from fes.report.summary import summarise_session
     from fes.report.tables import closing_block
-    from fes.session_log import SessionLogError, read_session
-    from fes.session_log.framing import RecordType
 
     target = out or log.with_name("report.html")
     with failing(SessionLogError):
@@ -65,15 +63,11 @@ def explain_command(log: Path, at_s: float, page: Path | None, no_page: bool, as
 
     The log is run again, by this program, up to that instant; a log that it would decide otherwise is told.
     """
-    from fes.cli.replay.log import Reopened
-    from fes.cli.show import print_json, screen
-    from fes.config import ConfigError
+    from fes.cli.replay.command import Reopened
     from fes.evaluation.explanation import explain
     from fes.report.explanation import explanation_json, explanation_table, render_explanation
     from fes.report.html import write_page_file
     from fes.report.summary import session_span
-    from fes.session_log import SessionLogError
-    from fes.signals import NS_PER_S
 
     with failing(SessionLogError, ConfigError):
         again = Reopened(log)
@@ -204,7 +198,7 @@ def anonymise_command(log: Path, out: Path | None, names: tuple[str, ...], keep_
 
 def _replayed(target: Path) -> Repeated:
     """The new log's second run; where that cannot be, nothing is left of it."""
-    from fes.cli.replay.log import repeat
+    from fes.cli.replay.command import repeat
 
     try:
         return repeat(target)

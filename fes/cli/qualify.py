@@ -1,5 +1,6 @@
 """``fes qualify``: one device measured and handled step by step, evidence of it, and the page made of all evidence."""
 
+import json
 import platform
 import signal
 import sys
@@ -95,8 +96,6 @@ def command(
 
 def _finish(evidence: dict[str, Any], stem: str, out: Path, key: bytes) -> None:
     """Write the evidence, show it, and say what deviates."""
-    import json
-
     from fes.qualify.evidence import findings, finite, sealed, shown
 
     evidence["figures"] = finite(evidence["figures"])

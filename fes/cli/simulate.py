@@ -37,15 +37,20 @@ from fes.cli.common import (
 from fes.cli.demo import stride_line
 from fes.cli.main import WANTS_LINUX
 from fes.cli.show import show_latched
+from fes.config import ConfigError, load_session
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
+from fes.hil.closed_loop.one_process import walk_stimulated, write_strides
 from fes.live.inputs import Terminal, standard_keys
+from fes.recording import RecordingError, write_recording
 from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S, Event, ImuSample
 from fes.simulation import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualPatient, harm_of
+from fes.simulation.forward.closed_loop import patient_events, recording_of, truth_of
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for
+from fes.simulation.truth import write_truth
 
 CONTROL: Final = ("none", "phase")
 LOOK_S: Final = 0.05
@@ -208,11 +213,6 @@ def simulate(settings: PatientSettings, options: Options) -> None:
 
     Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
-    from fes.hil.closed_loop.one_process import write_strides
-    from fes.recording import RecordingError, write_recording
-    from fes.simulation.forward.closed_loop import recording_of, truth_of
-    from fes.simulation.truth import write_truth
-
     if Path(options.name).name != options.name or "." in options.name or not options.name:
         raise Problem(f"--name {options.name!r}: a plain name without folder and dot, e.g. patient_7.")
     folder = options.out
@@ -251,15 +251,11 @@ def simulate(settings: PatientSettings, options: Options) -> None:
 
 
 def _walk(walker: VirtualPatient, samples: list[ImuSample], options: Options, after: Callable[[Event], None]) -> None:
-    from fes.simulation.forward.closed_loop import patient_events
-
     if options.stimulate == "none":
         for event in patient_events(walker, None, options.seconds, samples.append):
             after(event)
         return
-    from fes.config import ConfigError, load_session
     from fes.estimation.warm_up import warm_up
-    from fes.hil.closed_loop.one_process import walk_stimulated
     from fes.report.quality import Notice
 
     notes: list[Note] = []

@@ -25,20 +25,32 @@ from fes.cli.common import (
     out_option,
     writing,
 )
-from fes.cli.replay.log import prepared, repeat
+from fes.cli.replay.command import prepared, repeat
 from fes.cli.show import narrow_table, print_json, screen
-from fes.config import Session
+from fes.config import ConfigError, Session
 from fes.control.replay import digest, session_for, settings_of
+from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
+from fes.estimation.warm_up import warm_up
+from fes.evaluation.reference.table import ReferenceError
 from fes.evaluation.timing.judgement import (
+    ALLOWED,
     DECISIONS,
+    KINDS,
+    LATENCY,
     Baseline,
     Limits,
     Measured,
     RecordingTiming,
+    as_baseline,
     as_recorded,
+    baseline_text,
+    in_words,
+    joined,
     judge,
+    junit,
     measure,
+    read_baseline,
 )
 from fes.evaluation.timing.truth import (
     ExpectedMarks,
@@ -50,15 +62,14 @@ from fes.evaluation.timing.truth import (
     read_truth,
     without_cut_ends,
 )
-from fes.recording import Recording
+from fes.recording import Recording, RecordingError
 from fes.recording.can_log import CAN_SUFFIXES
 from fes.recording.table import TABLE_SUFFIXES
-from fes.session_log import read_session
+from fes.session_log import SessionLogError, read_session
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from fes.evaluation.timing.judgement import Baseline, Limits, RecordingTiming
     from fes.session_log import SessionRecord
 
 # --- The recordings of one timing command: found, replayed, and the truth of each ---------------------------
@@ -297,7 +308,6 @@ def baseline_command(
 
     What the file knows already stays: its tolerances, and recordings that are not named.
     """
-    from fes.evaluation.timing.judgement import Limits, as_baseline, baseline_text, joined, read_baseline
     from fes.report.text import count_of
 
     options = _options(chosen)
@@ -331,8 +341,6 @@ def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool
 
     Exit code: 0 all is well, 1 a check failed, 2 unusable input, 130 interrupted.
     """
-    from fes.evaluation.timing.judgement import read_baseline
-
     judging = {name: chosen.pop(name) for name in _JUDGING}
     options = _options(chosen)
     with failing(*_faults()):
@@ -342,8 +350,6 @@ def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool
     absent = sorted(set(baseline.recordings) - {each.name for each in outcomes}) if baseline else []
     _finish(outcomes, judging, as_json, ("now", "baseline"), {"not_checked": absent})
     if absent:
-        from fes.evaluation.timing.judgement import in_words
-
         click.secho(f"Of the baseline not checked here: {in_words(absent)}.", fg="yellow", err=True)
     _end(outcomes)
 
@@ -358,8 +364,6 @@ def compare_command(recordings: tuple[Path, ...], sessions: tuple[Path, ...], as
 
     Exit code: 0 compared, 1 they differ by more than --tolerance-ms, 2 unusable input.
     """
-    from fes.evaluation.timing.judgement import Baseline, Limits, as_baseline
-
     if len(sessions) != 2:
         raise Problem(f"name two settings, --session A.toml --session B.toml, not {len(sessions)}")
     judging = {name: chosen.pop(name) for name in _JUDGING}
@@ -379,18 +383,10 @@ _JUDGING: Final = ("tolerance_ms", "allow", "latency_budget_ms", "junit", "out",
 
 
 def _faults() -> tuple[type[Exception], ...]:
-    from fes.config import ConfigError
-    from fes.estimation.foot.calibration import CalibrationError
-    from fes.evaluation.reference.table import ReferenceError
-    from fes.evaluation.timing.truth import TimingError
-    from fes.recording import RecordingError
-    from fes.session_log import SessionLogError
-
     return ConfigError, CalibrationError, ReferenceError, TimingError, RecordingError, SessionLogError
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-
     if chosen["lag_s"] is not None and chosen["sync"] == "fit":
         raise Problem("--lag gives the offset, --sync fit finds it; choose one")
     plates = {}
@@ -404,8 +400,6 @@ def _options(chosen: dict[str, Any]) -> Options:
 
 def _tolerances(given: Sequence[str]) -> dict[str, float]:
     """Milliseconds by kind; a number alone is for all transitions and edges."""
-    from fes.evaluation.timing.judgement import KINDS, LATENCY
-
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")
@@ -421,8 +415,6 @@ def _tolerances(given: Sequence[str]) -> dict[str, float]:
 
 
 def _limits(judging: dict[str, Any], baseline: Baseline | None) -> Limits:
-    from fes.evaluation.timing.judgement import ALLOWED, Limits
-
     allowed = dict(baseline.allowed if baseline else ALLOWED)
     for text in judging["allow"]:
         name, _, count = text.partition("=")
@@ -436,8 +428,6 @@ def _limits(judging: dict[str, Any], baseline: Baseline | None) -> Limits:
 def _outcomes(
     recordings: Sequence[Path], options: Options, baseline: Baseline | None, limits: Limits
 ) -> list[tuple[Case, RecordingTiming]]:
-    from fes.estimation.warm_up import warm_up
-
     found = find_recordings(recordings)
     warm_up()
     done = []
@@ -458,8 +448,6 @@ def _finish(
     more: dict[str, Any],
 ) -> None:
     """Write JUnit and the page, and print; ``names``: what is checked, and what it is held against."""
-    from fes.evaluation.timing.judgement import junit
-
     page = None
     if not judging["no_report"]:
         from fes.report.html import ReportError

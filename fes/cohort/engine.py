@@ -158,7 +158,6 @@ def analyse_all(
 
     CohortError: as :func:`run_tasks`.
     """
-
     tasks = []
     for source in sources:
         own = source, store, settings

@@ -1,7 +1,7 @@
 """Settings: one TOML file per session, validated before anything is opened."""
 
 from fes.config.base import PHASE_ORDER, ConfigError, Foot, Phase, Positive, Settings, explain, read_toml
-from fes.config.channel import Channel, ChannelLimits, Stimulation
+from fes.config.channel import Band, Bounds, Channel, ChannelLimits, Stimulation, Tuning
 from fes.config.session import (
     STEEPEST_PERCENT,
     WIRELESS,
@@ -18,7 +18,6 @@ from fes.config.session import (
     refuse_blind_targets,
     validate_session,
 )
-from fes.config.tuning import Band, Bounds, Tuning
 
 __all__ = [
     "PHASE_ORDER", "STEEPEST_PERCENT", "WIRELESS", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError",

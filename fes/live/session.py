@@ -19,8 +19,7 @@ from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.notices import Notices
 from fes.live.operator import NO_STOP, Operator
-from fes.live.processes import HelperProcess
-from fes.live.realtime import Grant
+from fes.live.processes import Grant, HelperProcess
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.sensors import Input, SensorStream
 from fes.live.sides import SideCheck

@@ -11,10 +11,16 @@ from fes.estimation.numerics.ranks import median
 from fes.recording.csv_layout import Dialect
 from fes.recording.several_files import joined_table
 from fes.recording.sidecar import Sensor, Sidecar
-from fes.recording.stamps import GAP_INTERVALS, MAX_BACKWARD_JUMP_NS, refuse_wild_clock, repaired
 from fes.recording.table import Table, greatest_size
 from fes.recording.tracks import RecordingError, TrackQuality
-from fes.recording.units import TIME_UNITS_NS, time_factor_ns
+from fes.recording.units import (
+    GAP_INTERVALS,
+    MAX_BACKWARD_JUMP_NS,
+    TIME_UNITS_NS,
+    refuse_wild_clock,
+    repaired,
+    time_factor_ns,
+)
 from fes.recording.write import toml_value
 from fes.signals import NS_PER_S, FloatArray, IntArray
 

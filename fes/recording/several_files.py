@@ -28,10 +28,9 @@ import numpy as np
 
 from fes.recording.naming import plain
 from fes.recording.sidecar import Sensor, Sidecar
-from fes.recording.stamps import GAP_INTERVALS, refuse_wild_clock, repaired, usual_interval_ns
 from fes.recording.table import Table
 from fes.recording.tracks import RecordingError
-from fes.recording.units import time_factor_ns
+from fes.recording.units import GAP_INTERVALS, refuse_wild_clock, repaired, time_factor_ns, usual_interval_ns
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 MOST_BYTES: Final = 2 << 30  # unpacked: a day at 200 Hz makes 1.6 GB in each of Sensor Logger's files

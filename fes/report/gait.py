@@ -18,10 +18,17 @@ from typing import Final
 import numpy as np
 
 from fes.analysis.parameters.contacts import Swings, no_swings
-from fes.analysis.parameters.gait import GaitParameters, statistics_of, symmetry, travelled, walk_of
+from fes.analysis.parameters.gait import (
+    GaitParameters,
+    neighbours,
+    statistics_of,
+    stride_parameters,
+    symmetry,
+    travelled,
+    walk_of,
+)
 from fes.analysis.parameters.motion import MOTION_KEYS, shape_variations
 from fes.analysis.parameters.steps import equalise_sides, steps_of
-from fes.analysis.parameters.strides import neighbours, stride_parameters
 from fes.analysis.tables import by_column
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, StrideResult

@@ -18,8 +18,15 @@ from stepping_feet import Steps, calibration, stepping
 
 from benchmarks.lib.real_sets import load_run
 from benchmarks.lib.swing_judge import mid_swings
-from fes.analysis.hemiparetic import windows as w
-from fes.analysis.hemiparetic.foot import common_times, foot_of, in_visualization_frame, tracked, visualization_frame
+from fes.analysis.hemiparetic import foot as w
+from fes.analysis.hemiparetic.foot import (
+    common_times,
+    foot_of,
+    in_visualization_frame,
+    mapped,
+    tracked,
+    visualization_frame,
+)
 from fes.analysis.hemiparetic.sync import Samples, offset
 from fes.analysis.hemiparetic.walk import (
     Power,
@@ -30,7 +37,6 @@ from fes.analysis.hemiparetic.walk import (
     terrain,
     windows_of,
 )
-from fes.analysis.hemiparetic.windows import mapped
 from fes.analysis.parameters.gait import Statistic
 from fes.analysis.pipeline import analyse, calibrations_of, uneven_strides
 from fes.cli.main import main

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,11 +18,13 @@ from test_zupt import STRIDE_M, walk
 
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
 from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.tables import Table
 from fes.calibration.recording import calibrate_track
 from fes.cli.main import main
 from fes.config import Ground
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
+from fes.estimation.strides.schema import TABLE, Column
 from fes.estimation.zupt import foot_trajectory
 from fes.estimation.zupt.decimation import ZuptSettings
 from fes.recording import Recording, Track, read_recording
@@ -291,3 +294,63 @@ def test_real_stairs_rise_by_two_steps_a_stride() -> None:
         alike = np.abs(stairs - np.median(stairs)) < 0.03
         assert alike.mean() > 0.7  # the stairs are built alike; a landing takes one step
         assert gained.sum() == pytest.approx(result.paths[foot].height_gained_m, abs=0.3)
+
+
+# --- Tables: rows, columns, Arrow and what a notebook shows ---
+
+
+COLUMNS = (
+    Column("foot", str, "", "which <foot>"),
+    Column("number", int, "", "counts"),
+    Column("length_m", float, "m", "how long", "Wang et al. 2013"),
+)
+ROWS = [{"foot": "left_foot", "number": k, "length_m": None if k == 2 else 1.0 + k} for k in range(4)]
+
+
+def test_rows_columns_and_parts_of_a_table() -> None:
+    table = Table.from_rows(COLUMNS, ROWS)
+    assert len(table) == 4
+    assert table.names == ("foot", "number", "length_m")
+    assert table["number"].tolist() == [0, 1, 2, 3]
+    assert math.isnan(table["length_m"][2])
+    assert table[1] == ROWS[1]
+    assert table[-1] == ROWS[3]
+    assert table[1:3].rows()[0] == ROWS[1]
+    assert [row["number"] for row in table] == [0, 1, 2, 3]
+
+
+def test_what_is_not_there_is_refused() -> None:
+    table = Table.from_rows(COLUMNS, ROWS)
+    with pytest.raises(KeyError, match="there are foot"):
+        table["width_m"]
+    for number in (4, -5):
+        with pytest.raises(IndexError, match="there are 4"):
+            table[number]
+    with pytest.raises(ValueError, match="no values of length_m"):
+        Table(COLUMNS, {"foot": [], "number": []})
+    with pytest.raises(ValueError, match="not of one length"):
+        Table(COLUMNS, {"foot": ["a"], "number": [], "length_m": []})
+
+
+def test_arrow_keeps_units_and_sources() -> None:
+    arrow = Table.from_rows(COLUMNS, ROWS).to_arrow()
+    metadata = arrow.schema.field("length_m").metadata
+    assert metadata == {b"unit": b"m", b"description": b"how long", b"source": b"Wang et al. 2013"}
+    assert arrow.column("number").to_pylist() == [0, 1, 2, 3]
+    assert Table.from_rows(TABLE, []).to_arrow().num_rows == 0
+
+
+def test_a_notebook_shows_the_first_rows() -> None:
+    table = Table.from_rows(COLUMNS, ROWS * 10)
+    html = table._repr_html_()
+    assert html.count("<tr>") == 21
+    assert "40 rows, the first 20 are shown" in html
+    assert "which &lt;foot&gt;" in html
+    assert repr(table) == "Table of 40 rows: foot, number, length_m"
+
+
+def test_pandas_is_asked_for_only_when_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = Table.from_rows(COLUMNS, ROWS)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pip install pandas"):
+        table.to_pandas()

@@ -11,15 +11,26 @@ from pathlib import Path
 
 import click
 import pytest
+import report_records as make
 from click.testing import CliRunner, Result
 from replays import FES, SETTINGS, TRIALS, both_feet, one_sample_changed, rewritten, run_fes, trial, write_cut
+from rich.console import Console
+from test_sciencemode_ports import KINDS, MS, Bench, command
 
 import fes.report.page
+from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator
+from drivers.stimulator.rehastim2_port import RehaStim2
+from drivers.stimulator.sciencemode import ScienceModePort
 from fes.cli import main
-from fes.cli.common import BROKEN, FAILED, INTERRUPTED, OK, STOPPED, UNUSABLE, Problem
+from fes.cli.common import BROKEN, FAILED, INTERRUPTED, OK, STOPPED, UNUSABLE, Problem, StoppedEarly
 from fes.cli.main import COMMANDS, LazyGroup
+from fes.cli.replay.stimulators import LoggedLine
+from fes.cli.run.command import finish, write_report
 from fes.recording import write_recording
-from fes.session_log import read_session
+from fes.report.summary import summarise
+from fes.report.tables import closing_block
+from fes.session_log import Note, SessionRecord, SessionWriter, read_session
+from fes.signals import OperatorAct, OperatorAction, WireFrame
 
 CSV = TRIALS / "example_csv.csv"
 
@@ -335,3 +346,107 @@ def test_trials_come_out_as_they_are_bundled(tmp_path: Path) -> None:
 def test_a_recording_written_by_fes_is_replayed_by_fes(tmp_path: Path) -> None:
     write_recording(trial("example_csv"), tmp_path / "again.parquet")
     assert call("replay", tmp_path / "again.parquet", "--no-report", "--out", tmp_path).exit_code == OK
+
+
+# --- What `fes run` says and writes at its end ---
+
+
+def said_of(record: SessionRecord) -> list[str]:
+    console = Console(width=200, record=True)
+    console.print(closing_block(summarise(record)))
+    return console.export_text().splitlines()
+
+
+def test_a_good_session_is_told_in_a_few_lines() -> None:
+    record = make.walk(20)
+    record.acts = [OperatorAct(make.at(1.0), OperatorAction.TEST_BURST, 0.0)]
+    lines = said_of(record)
+    assert len(lines) <= 10
+    text = "\n".join(lines)
+    assert "left foot: 20 strides (20 valid), 0.63 ± 0.02 m" in text
+    assert "TA left: 18 bursts" in text
+    assert "mC" in text
+    assert "by hand: 1 test burst" in text
+    assert lines[-1].startswith("✓ no fault")
+
+
+def test_what_to_look_at_comes_with_it_and_what_is_much_is_counted() -> None:
+    record = make.walk(20)
+    record.notes += [Note(make.at(t_s), "fault", "gate", "controller stalled for 50 ms") for t_s in (3, 4)]
+    record.complete = False
+    for number in range(12):
+        record.summary[f"check {number}"] = {}
+    lines = said_of(record)
+    assert len(lines) <= 14
+    assert any("2 faults noted" in line and "Close other programs" in line for line in lines)
+    assert any("no proper end" in line for line in lines)
+    assert not any("no fault" in line for line in lines)
+
+
+def write_log(record: SessionRecord, path: Path) -> Path:
+    log = SessionWriter(path, record.header)
+    for change in record.phases:
+        log.phase(change)
+    for stride in record.strides:
+        log.stride(stride)
+    log.close({"ended": "complete"})
+    return path
+
+
+def test_the_report_stands_beside_the_log_and_what_happened_is_said(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_report(write_log(make.walk(6), tmp_path / "session.feslog"))
+    said = capfd.readouterr().out
+    assert "left foot: 6 strides (6 valid)" in said
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").count("<html") == 1
+
+
+def test_an_alarm_comes_before_the_report_and_is_followed_by_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("fes.cli.run.command.write_report", lambda path: said.append(capfd.readouterr().err))
+    with pytest.raises(StoppedEarly):
+        finish(tmp_path / "session.feslog", "the disk is full", report=True)
+    assert len(said) == 1
+    assert "ALARM" in said[0]
+
+
+def test_a_log_of_which_no_report_can_be_made_ends_in_words(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_report(tmp_path / "session.feslog")
+    said = capfd.readouterr()
+    assert "There is no report" in said.err
+    assert "Traceback" not in said.out + said.err
+
+
+# --- A serial port told again what it was told and what it heard sends the same bytes ---
+
+
+@pytest.mark.parametrize("silent", [(), (20, 24), (20, 40)], ids=["well", "two answers lost", "mute for 0.4 s"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_was_heard_decides_what_goes_out(kind: str, silent: tuple[int, ...]) -> None:
+    bench, line = Bench(kind), LoggedLine()
+    if kind == "low":
+        again: ScienceModePort = LowLevelStimulator(line, 7)
+    elif kind == "mid":
+        again = MidLevelStimulator(line, 7, accept_watchdog_s=2.0)
+    else:
+        again = RehaStim2(line, 7, (1,))
+    again.resume(bench.handshake.frames)
+    sent: list[WireFrame] = []
+    repeated: list[WireFrame] = []
+    withheld = 0  # pulses that the queue had no room for
+    for turn in range(60):
+        bench.line.faults.set("mute", float(bool(silent) and silent[0] <= turn < silent[1]))
+        one = command(bench.t_ns, on=turn % 30 < 25, current_ma=5.0 + turn % 3)
+        sent.append(bench.port.send(one))
+        repeated.append(again.send(one))
+        for _ in range(10):
+            bench.line.advance(bench.t_ns + 2 * MS)
+            events = bench.port.poll(bench.t_ns)
+            withheld += sum("none was added" in event.fault for event in events)
+            line.brings += bench.port.heard
+            assert again.poll(bench.t_ns) == events
+    assert repeated == sent
+    assert bool(withheld) == bool(silent)

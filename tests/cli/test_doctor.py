@@ -11,13 +11,14 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import serial
 from click.testing import CliRunner
-from replays import SETTINGS
+from replays import SETTINGS, cut, edit, trial
 
 from drivers.discover import CanChannel, SerialPort, can_channels, device_maker
 from drivers.imu import ximu3
@@ -28,9 +29,12 @@ from fes.cli.common import FAILED, OK
 from fes.cli.devices import Connected, wanted_by
 from fes.cli.doctor import Finding, Verdict, settings, stop_file_finding
 from fes.cli.main import main
+from fes.cli.show import latched
 from fes.config import ImuDevice, Session, load_session
-from fes.live import realtime
-from fes.live.realtime import Grant
+from fes.live import processes
+from fes.live.processes import Grant
+from fes.recording import Track, write_recording
+from fes.report.quality import Notice
 
 RATE_HZ = 100
 
@@ -153,7 +157,7 @@ def test_no_fixed_priority_is_a_warning_with_cost_and_remedy(monkeypatch: pytest
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(realtime.os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(processes.os, "sched_setscheduler", refuse)
     found = only(doctor_host.permissions(), "fixed priority (SCHED_FIFO)")
     assert found.verdict is Verdict.WARNING
     assert "Operation not permitted" in found.said
@@ -417,3 +421,46 @@ def test_an_ordinary_user_gets_a_verdict_where_nothing_may_be_looked_at() -> Non
     assert "failure port: this user may not open it -> sudo usermod" in said
     assert "cannot be written: Permission denied -> make room" in said
     assert "False cannot be looked for: Permission denied" in said
+
+
+# --- A replay whose gate latched says so at its end; its exit code says whether it went through ---
+
+
+def gate(t_s: float, text: str) -> Notice:
+    return Notice(t_s, "info" if text == "armed again" else "fault", "gate", text)
+
+
+def test_what_is_said_of_latches() -> None:
+    assert latched([]) == ""
+    assert latched([Notice(1.0, "warning", "gate", "channel 0 refused: not armed"), gate(0.5, "armed again")]) == ""
+    first = gate(1.25, "off until armed again: emergency stop")
+    assert latched([first]) == (
+        "The gate latched once at 1.250 s: emergency stop. Nothing was stimulated from 1.250 s to the end."
+    )
+    assert latched([first, gate(2.0, "armed again")]) == (
+        "The gate latched once at 1.250 s: emergency stop. It was last armed again at 2.000 s."
+    )
+    again = [first, gate(2.0, "armed again"), gate(3.0, "off until armed again: x")]
+    assert latched(again) == (
+        "The gate latched 2 times, first at 1.250 s: emergency stop. Nothing was stimulated from 3.000 s to the end."
+    )
+
+
+def test_a_replay_and_its_logs_replay_say_it_last(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def spoilt(track: Track) -> Track:
+        acc_mps2, gyr_radps = track.acc_mps2.copy(), track.gyr_radps.copy()
+        acc_mps2[3000:3060], gyr_radps[3000:3060] = acc_mps2[3000], gyr_radps[3000]
+        return replace(track, acc_mps2=acc_mps2, gyr_radps=gyr_radps)
+
+    recording = tmp_path / "spoilt.parquet"
+    write_recording(edit(cut(trial("negard_patient2"), 0.0, 12.0), spoilt), recording)
+    common = ["--json"]
+    for target in (recording, None):
+        path = target or next(tmp_path.glob("out/*/session.feslog"))
+        more = ["--out", str(tmp_path / "out"), "--session", str(SETTINGS), "--stimulator", "none", "--no-report"]
+        with pytest.raises(SystemExit) as ended:
+            main(["replay", str(path), *common, *(more if target else [])], prog_name="fes")
+        assert ended.value.code == OK
+        said = capsys.readouterr().err
+        assert "The gate latched once at 6.0" in said
+        assert "right_foot is frozen: the same values for 60 ms, limit 60 ms. Nothing was stimulated from 6.0" in said

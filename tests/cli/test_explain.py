@@ -17,7 +17,7 @@ from replays import SETTINGS, bursts, cut, edit, keep, replay, trial
 from test_one_process import run as closed_loop
 
 from fes.cli import main
-from fes.cli.replay import log as replayed_log
+from fes.cli.replay import command as replayed_log
 from fes.gate import SafetyGate
 from fes.live.sides import EXCHANGED
 from fes.live.status import remedy

@@ -13,7 +13,7 @@ import pytest
 from replays import SETTINGS
 
 from fes.analysis.pipeline import calibrations_of
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.config import load_session, validate_session
 from fes.control.controller import Controller
 from fes.estimation.sensor_choice import Calibration

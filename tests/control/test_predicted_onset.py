@@ -14,7 +14,7 @@ from replays import MS, SETTINGS, TRIALS, both_feet, bursts, replay, same_output
 
 from fes.calibration.recording import calibrate_phase_sensors
 from fes.cli.main import main
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.config import Session, load_session
 from fes.control.controller import Controller
 from fes.control.runner import armed_after
@@ -195,7 +195,7 @@ def run(
     session = predicted_session()
     controller = Controller(session, calibrations)
     tracker = controller.trackers[FOOT]
-    controller.trackers[FOOT] = cast(FootTracker, Script(tracker, LAST, turns_after=turns_after))
+    controller.trackers[FOOT] = cast("FootTracker", Script(tracker, LAST, turns_after=turns_after))
     gate = gate_of(session, {FOOT: calibrations[FOOT].up})
     walk, events = trial(WALK).tracks[FOOT], list[Event]()
     first = round(WALKS_FROM_S * walk.rate_hz)

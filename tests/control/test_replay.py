@@ -29,7 +29,7 @@ from replays import (
 )
 
 from fes.calibration.recording import calibrate_phase_sensors, calibrate_track
-from fes.cli.replay.log import prepared, repeat
+from fes.cli.replay.command import prepared, repeat
 from fes.cohort.sweep.grid import Point, session_with
 from fes.config import ConfigError, Ground, load_session, validate_session
 from fes.control.replay import identity, refuse_long_silence, session_for

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +14,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from fes.estimation.events.offline import filter_signals
+from fes.estimation.foot.features import STATE, FootParameters
 from fes.estimation.numerics.filters import (
     BLOCK,
     PADDING,
@@ -23,7 +27,11 @@ from fes.estimation.numerics.filters import (
     rows_of_at_least,
     thinned_sizes,
 )
-from fes.signals import FloatArray
+from fes.estimation.numerics.ranks import median, percentile
+from fes.estimation.numerics.records import core_type, new_core, record_type, struct_of
+from fes.estimation.tracking.tracker import FULL, LARGEST_VALUE, RESTART_GAP_NS, SILENCE, History, SampleCounts, Samples
+from fes.signals import FloatArray, IntArray
+from statemachine.guards import Thresholds
 
 ANY = st.floats(-50.0, 50.0)
 FEW = st.sampled_from([-1.5, 0.0, 0.5, 1.0, 2.0])  # so that ties and flat tops are common
@@ -122,3 +130,152 @@ def test_likeness_is_the_correlation_with_itself(n: int, shortest: int, lags: in
     likeness(level, shortest, wanted)
     assert likeness_of_lengths(x, step, shortest, found) == pytest.approx(level @ level, rel=1e-11, abs=1e-13)
     assert np.allclose(found, wanted, rtol=1e-11, atol=1e-11)
+
+
+# --- Medians and percentiles are numpy's, to the bit ---
+
+
+NUMBERS = st.lists(st.floats(-1e12, 1e12) | st.sampled_from([0.0, 1.0, 2.0]), min_size=1, max_size=60)
+
+
+@given(NUMBERS, st.floats(0.0, 100.0) | st.sampled_from([0.0, 15.0, 50.0, 99.0, 100.0]))
+def test_they_are_numpys(numbers: list[float], percent: float) -> None:
+    values = np.array(numbers)
+    assert median(values) == np.median(values)
+    assert percentile(values, percent) == np.percentile(values, percent)
+    np.testing.assert_array_equal(values, numbers, err_msg="what is given stays in its order")
+
+
+@given(st.lists(st.integers(-(2**60), 2**60), min_size=1, max_size=60))
+def test_a_median_of_whole_numbers(numbers: list[int]) -> None:
+    assert median(np.array(numbers, np.int64)) == np.median(np.array(numbers, np.int64))
+
+
+@pytest.mark.parametrize("size", [10_001, 10_002])
+def test_of_many(size: int) -> None:
+    values = np.random.default_rng(size).gamma(1.0, 3.0, size)
+    assert median(values) == np.median(values)
+    for percent in (0.0, 15.0, 38.2, 99.0, 100.0):
+        assert percentile(values, percent) == np.percentile(values, percent)
+
+
+@given(NUMBERS, st.integers(0, 59), st.floats(0.0, 100.0))
+def test_nan_among_them_tells(numbers: list[float], at: int, percent: float) -> None:
+    values = np.array(numbers)
+    values[at % len(values)] = math.nan
+    assert math.isnan(median(values))
+    assert math.isnan(percentile(values, percent))
+
+
+def test_of_none() -> None:
+    assert math.isnan(median(np.zeros(0)))
+    with pytest.raises(IndexError):
+        percentile(np.zeros(0), 50.0)
+
+
+# --- Which samples a tracker uses, and what it keeps of them ---
+
+
+STEP_NS = 10_000_000
+TOLD_NS = (-2 * STEP_NS, 0, STEP_NS, 2 * STEP_NS, RESTART_GAP_NS, RESTART_GAP_NS + 1)
+ROW = tuple[int, float, bool]
+
+
+def fed(history: History, t_ns: IntArray, values: FloatArray, cuts: list[int]) -> list[ROW]:
+    """Give samples in blocks, as a tracker does; all that were taken: time, value, and whether it began anew."""
+    seen: list[ROW] = []
+    at, anew = 0, False
+    for begin, end in pairwise([0, *sorted(cuts), len(t_ns)]):
+        acc = np.repeat(values[begin:end, None], 3, axis=1)
+        taken = 0
+        while taken < end - begin:
+            taken, outcome = history.store(Samples(t_ns[begin:end], acc, -acc), taken)
+            for row in range(at, history.filled):
+                seen.append((int(history.arrays.t_ns[row]), float(history.arrays.acc[row, 1]), anew))
+                assert history.arrays.gyr[row, 2] == -seen[-1][1]
+                anew = False
+            if outcome == SILENCE:
+                history.restart(int(t_ns[begin + taken]))
+                anew = True
+            elif outcome == FULL:
+                history.forget_half()
+            at = history.filled
+    return seen
+
+
+def expected(t_ns: IntArray, values: FloatArray) -> tuple[list[ROW], SampleCounts]:
+    """The same in plain words."""
+    seen: list[ROW] = []
+    counts = SampleCounts()
+    for t, value in zip(t_ns.tolist(), values.tolist(), strict=True):
+        if not abs(value) < LARGEST_VALUE:
+            counts.not_finite += 1
+        elif seen and t <= seen[-1][0]:
+            counts.doubled_or_backward += 1
+        else:
+            seen.append((t, value, not seen or t - seen[-1][0] > RESTART_GAP_NS))
+            counts.used += 1
+    return seen, counts
+
+
+@settings(deadline=None)
+@given(
+    steps=st.lists(
+        st.tuples(st.sampled_from(TOLD_NS), st.sampled_from([1.0, -3.0, np.nan, np.inf, LARGEST_VALUE])), max_size=150
+    ),
+    cuts=st.lists(st.integers(0, 150), max_size=6),
+    start_ns=st.sampled_from([-(10**15), 0, 10**18]),
+)
+def test_samples_used_are_those_of_the_plain_rule(
+    steps: list[tuple[int, float]], cuts: list[int], start_ns: int
+) -> None:
+    t_ns = np.cumsum(np.array([start_ns, *(step for step, _ in steps)], np.int64))
+    values = np.array([1.0, *(value for _, value in steps)])
+    history = History(rate_hz=1.0)  # 64 rows, so that they fill up
+    seen, counts = expected(t_ns, values)
+    assert fed(history, t_ns, values, [min(cut, len(t_ns)) for cut in cuts]) == seen
+    assert history.counts(0) == counts
+
+
+def test_what_is_forgotten_is_the_older_half() -> None:
+    history = History(rate_hz=1.0)
+    t_ns = STEP_NS * np.arange(64)
+    fed(history, t_ns, np.arange(64.0), [])
+    kept = history.arrays
+    kept.trace[:, 0] = np.arange(64.0)
+    history.forget_half()
+    assert history.filled == 32
+    for column in (kept.t_ns / STEP_NS, kept.acc[:, 0], -kept.gyr[:, 0], kept.trace[:, 0]):
+        assert np.array_equal(column[:32], np.arange(32.0, 64.0))
+
+
+@pytest.mark.parametrize(("first_ns", "then_ns"), [(-(2**62) - 1, 2**62), (-(2**63) + 1, 2**63 - 1)])
+def test_stamps_too_far_apart_to_subtract_are_a_silence(first_ns: int, then_ns: int) -> None:
+    seen = fed(History(100.0), np.array([first_ns, then_ns]), np.ones(2), [])
+    assert seen == [(first_ns, 1.0, True), (then_ns, 1.0, True)]
+
+
+def test_a_core_holds_its_parts_under_their_own_names() -> None:
+    parameters = FootParameters(*map(float, range(10)), jerk_lag=2)
+    thresholds = Thresholds(swing_at_reversal=True, push_off_radps=5.0)
+    kind = core_type(STATE, parameters=FootParameters, thresholds=Thresholds)
+    core = new_core(kind, parameters=parameters, thresholds=thresholds)
+    assert FootParameters(*core["parameters"][0].tolist()) == parameters
+    assert Thresholds(*core["thresholds"][0].tolist()) == thresholds
+    assert core["thresholds"].dtype["swing_at_reversal"] == np.bool_
+    assert core["parameters"].dtype["jerk_lag"] == np.int64
+    assert not core["state"]["samples"][0]
+
+
+def test_a_struct_reads_and_writes_what_numpy_would() -> None:
+    inner = record_type([("flag", np.bool_), ("x", np.float64)])
+    kind = record_type(
+        [("n", np.int64), ("flag", np.bool_), ("m", np.float64, (2, 2)), ("inner", inner), ("k", np.int64)]
+    )
+    row = np.zeros(1, kind)
+    struct_of(kind, "n", "flag").pack_into(row.view(np.uint8).data, 0, 7, True)
+    row["m"], row["inner"]["x"], row["k"] = [[1.0, 2.0], [3.0, 4.0]], 5.0, -1
+    data = row.view(np.uint8).data
+    assert struct_of(kind).unpack_from(data) == (7, True, 1.0, 2.0, 3.0, 4.0, False, 5.0, -1)
+    assert struct_of(kind, "n", "inner", "k").unpack_from(data) == (7, False, 5.0, -1)
+    assert row[0].inner.x == 5.0  # an attribute without the compiler as well

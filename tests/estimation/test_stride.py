@@ -4,20 +4,37 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from statistics import median
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from replays import trial
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.stride_length import NO_BIASES, quietest_near, solve_stride
-from fes.config import FootGeometry
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.calibration.recording import calibrate_track
+from fes.config import FootGeometry, Stimulation
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides import segmentation
-from fes.estimation.strides.integration import double_integral, effects, integrate, orient
+from fes.estimation.strides.boundaries import stride_time_ns
+from fes.estimation.strides.integration import double_integral, effects, goes_backward, integrate, orient
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker, StrideSettings
-from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
+from fes.estimation.strides.schema import COLUMNS, LIVE_TABLE, STRIDE, TABLE, markdown, table_row
+from fes.estimation.zupt.thresholds import mark_missed_stances, quietest_instants
+from fes.recording.tracks import Track
+from fes.session_log.codec import decode, encode
+from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.simulation.forward import VirtualPatient, settings_for
+from fes.simulation.forward.closed_loop import recording_of
+from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FOOT = "right_foot"
@@ -663,3 +680,164 @@ def test_a_stride_that_outlasts_the_history() -> None:
     assert result is not None
     assert not result.valid
     assert result.reason == "longer than the history kept"
+
+
+# --- How long a stride took: the rest between two strides of a walk belongs to it, standing does not ---
+
+
+@pytest.mark.parametrize(
+    ("before_ns", "time_ns"),
+    [(None, 100), (1000, 100), (940, 160), (900, 200), (899, 100), (1001, 100), (1050, 100)],
+)
+def test_a_rest_no_longer_than_the_stride_is_part_of_it(before_ns: int | None, time_ns: int) -> None:
+    assert stride_time_ns(1000, 1100, before_ns) == time_ns
+
+
+@pytest.mark.parametrize("speed_mps", [0.2, 0.6])
+def test_in_slow_walking_the_speed_is_the_belts(speed_mps: float) -> None:
+    patient = VirtualPatient(settings_for("moderate", speed_mps=speed_mps, seed=4))
+    samples = patient.advance(60 * NS_PER_S)
+    recording, found = calibrations_of(recording_of(patient, samples, "walk", ""))
+    strides = [stride for stride in analyse(recording, found.calibrations).strides if stride.valid]
+    for foot in FOOT_SENSORS:
+        mine = [stride for stride in strides if stride.foot == foot][3:-1]
+        assert median(stride.speed_mps for stride in mine) == pytest.approx(speed_mps, rel=0.05)
+
+
+# --- The columns of a stride, stated once: what carries them has the same names, in the docs too ---
+
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "strides.md"
+PATH = {"x_m", "y_m", "z_m", "heading_rad"}
+LIVE = {f"t_{phase}_live_s" for phase in ("pre_swing", "swing", "loading_response", "stance")}
+RESULT = StrideResult(
+    "left_foot", 3, 10, 2_000_000_000, 1.2, 0.1, 0.0, 0.02, 1.1, 5, None, 6, 7, 0.02, 0.2, True, "why",
+    np.zeros((101, 3)), np.zeros(101),
+)  # fmt: skip
+
+
+def test_a_stride_has_the_columns_that_the_schema_states() -> None:
+    carried = {field.name for field in fields(StrideResult)} - {"trajectory_m", "pitch_rad", "roll_rad", "left_over"}
+    assert carried == {column.name for column in COLUMNS if column.shown} - PATH - LIVE
+    assert len({column.name for column in COLUMNS}) == len(COLUMNS)
+    assert set(STRIDE.names or ()) >= carried - {"foot", "valid", "reason"}
+
+
+def test_a_row_of_the_table_is_in_seconds() -> None:
+    row = table_row(RESULT)
+    assert set(row) | PATH == {column.name for column in LIVE_TABLE} == {column.name for column in TABLE} - LIVE
+    assert "off-line" not in " ".join(column.text for column in LIVE_TABLE)
+    assert (row["t_end_s"], row["t_pre_swing_s"], row["t_swing_s"]) == (2.0, 5e-9, None)
+    assert row["stride_length_m"] == 1.2
+    assert all(column.text and (column.unit or column.kind is not float) for column in TABLE)
+    assert not math.isnan(row["speed_mps"])
+
+
+def test_a_log_carries_the_same_columns() -> None:
+    kind, payload = encode(RESULT)
+    assert decode(kind, memoryview(payload)) == RESULT
+
+
+def test_a_log_from_before_the_roll_is_read() -> None:
+    angles = np.linspace(0.0, 0.5, 101)
+    stride = replace(RESULT, pitch_rad=angles, roll_rad=-angles)
+    kind, payload = encode(stride)
+    now, before = decode(kind, memoryview(payload)), decode(kind, memoryview(payload)[: -4 * 101])
+    assert isinstance(now, StrideResult)
+    assert isinstance(before, StrideResult)
+    assert now.roll_rad == pytest.approx(-angles, abs=1e-7)
+    assert before == RESULT
+    assert (len(before.roll_rad), len(before.trajectory_m)) == (0, 101)
+    assert np.array_equal(before.pitch_rad, now.pitch_rad)
+    with pytest.raises(ValueError, match="length"):
+        decode(kind, memoryview(payload)[:-4])
+
+
+def test_the_page_shows_the_columns() -> None:
+    assert markdown() in DOCS.read_text(encoding="utf-8"), "write it anew from fes.estimation.strides.schema.markdown()"
+
+
+# --- Steps backward, walked with the calibration of a walk forward: refused ---
+
+
+def turned_round(track: Track) -> Track:
+    """The same movement, last sample first: joints go backward nearly so."""
+    return replace(
+        track,
+        t_ns=track.t_ns[0] + track.t_ns[-1] - track.t_ns[::-1],
+        t_sensor_ns=track.t_sensor_ns[0] + track.t_sensor_ns[-1] - track.t_sensor_ns[::-1],
+        acc_mps2=track.acc_mps2[::-1].copy(),
+        gyr_radps=-track.gyr_radps[::-1],
+    )
+
+
+@pytest.mark.parametrize("name", ["both_feet_100hz", "negard_patient2"])
+def test_steps_backward_are_told_and_permit_no_bursts(name: str) -> None:
+    track = trial(name).tracks["right_foot"]
+    calibration = calibrate_track(track)
+    assert isinstance(calibration, FootCalibration)
+    back = turned_round(track)
+    tracker = FootTracker(calibration, StrideMaker(track.sensor, stride_settings(calibration)))
+    judge, permitted, strides = WalkingJudge(Stimulation()), 0, list[StrideResult]()
+    for outcome in tracker.advance(back.t_sensor_ns, back.acc_mps2, back.gyr_radps):
+        if isinstance(outcome, StrideResult):
+            strides.append(outcome)
+            judge.on_stride(outcome)
+        elif isinstance(outcome, PhaseChange):
+            permitted += judge.on_phase(outcome) and outcome.transition.name == "T1"
+    told = [stride for stride in strides if stride.reason.startswith("went backward")]
+    assert len(strides) > 20
+    assert len(told) > 0.2 * len(strides)
+    assert permitted <= 0.1 * len(strides)
+
+
+@pytest.mark.parametrize(("ahead_m", "turn_rad", "backward"), [(-0.4, 0.0, True), (0.4, 0.0, False), (-0.1, 0.0, False),
+                                                               (-0.4, 1.7, False)])  # fmt: skip
+def test_a_stride_goes_backward_where_the_heel_points(ahead_m: float, turn_rad: float, backward: bool) -> None:
+    position = np.linspace((0.0, 0.0, 0.0), (0.0, ahead_m, 0.0), 50)  # the toe points along y
+    quaternion = np.tile((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), (50, 1))
+    assert goes_backward(quaternion, position, turn_rad, 1.0, 0.0, 0.0) == backward
+
+
+# --- Quietest instants of rests and of long movements, against the same in plain numpy ---
+
+
+REST = st.integers(40, 200).flatmap(lambda n: arrays.arrays(np.bool_, n))
+
+
+def spans_of(mask):
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return edges[0::2].tolist(), edges[1::2].tolist()
+
+
+@settings(deadline=None)
+@given(REST, st.integers(0, 5), st.integers(0, 2**32 - 1))
+def test_the_quietest_of_every_rest(rest, apart, seed):
+    energy = np.random.default_rng(seed).integers(0, 9, len(rest)).astype(np.float64)
+    out = np.empty(len(rest) // 2 + 1, np.int64)
+    found = out[: quietest_instants(rest, energy, float(apart), out)]
+    joined: list[list[int]] = []
+    for begin, end in zip(*spans_of(rest), strict=True):
+        if joined and begin - joined[-1][1] < apart:
+            joined[-1][1] = end
+        else:
+            joined.append([begin, end])
+    assert found.tolist() == [begin + int(energy[begin:end].argmin()) for begin, end in joined]
+
+
+@settings(deadline=None)
+@given(REST, st.integers(12, 40), st.integers(0, 2**32 - 1))
+def test_long_movements_are_split_at_their_quietest(rest, longest, seed):
+    energy = np.random.default_rng(seed).random(len(rest))
+    half, margin = 1, round(0.32 * longest)
+    expected = rest.copy()
+    todo = list(zip(*spans_of(~rest), strict=True))
+    while todo:
+        begin, end = todo.pop()
+        if end - begin > longest:
+            quiet = begin + margin + int(np.argmin(energy[begin + margin : end - margin]))
+            expected[quiet - half : quiet + half + 1] = True
+            todo += [(begin, quiet - half), (quiet + half + 1, end)]
+    found = rest.copy()
+    mark_missed_stances(found, energy, float(longest), half, margin)
+    assert np.array_equal(found, expected)

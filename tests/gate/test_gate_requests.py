@@ -144,7 +144,6 @@ def test_caps_that_the_widths_and_currents_of_today_never_reach(
 
 @pytest.mark.requirement("SR-04")
 def test_every_cap_takes_its_number_from_the_limits() -> None:
-
     caps = {cap.what: cap.absolute for cap in fes.gate.electrical.CAPS}
     assert caps == {
         "current": limits.MAX_CURRENT_MA,

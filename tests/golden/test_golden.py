@@ -20,8 +20,7 @@ import pytest
 from replays import MS, SETTINGS, Replays, bursts, write_cut
 
 from drivers.stimulator.can_codec import COMMAND_ID, PROTOCOL_VERSION, Command, decode
-from fes.cli.replay.command import Options, replay_recording
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import Options, repeat, replay_recording
 from fes.session_log import SessionRecord
 from fes.signals import WireFrame
 
@@ -139,6 +138,6 @@ def test_a_log_of_another_protocol_version_is_told_as_such(tmp_path: Path, monke
     options = Options(session=SETTINGS, out=tmp_path, stimulator="none", report=False, as_json=True)
     log = replay_recording(write_cut(tmp_path), options)
     assert repeat(log).difference == ""
-    monkeypatch.setattr("fes.cli.replay.log.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
+    monkeypatch.setattr("fes.cli.replay.command.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
     words = f"version {PROTOCOL_VERSION}, this program speaks {PROTOCOL_VERSION + 1}"
     assert repeat(log).difference.endswith(words)

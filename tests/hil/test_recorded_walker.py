@@ -9,7 +9,7 @@ import pytest
 from drivers.simulated.imu.device import recorded_signal
 from fes.calibration.recording import SensorCalibrations, load
 from fes.cli import main
-from fes.cli.replay.log import prepared
+from fes.cli.replay.command import prepared
 from fes.config import StimulatorDevice, load_session
 from fes.hil.devices import WALKS_S, recorded_walker
 from fes.hil.settings import STANDS_S, session_text

@@ -26,6 +26,7 @@ from drivers.simulated.imu.wire import LSL_RECORD, LslWire
 from drivers.simulated.lines import LineFaults, MessageFaults
 from drivers.stimulator.open import SERIAL
 from drivers.stimulator.port import StimulatorLost
+from fes import limits
 from fes.cli import main
 from fes.cli.common import UNUSABLE, Problem
 from fes.cli.run.devices import open_sensors
@@ -35,7 +36,7 @@ from fes.hil.campaign_bench import CampaignBench
 from fes.hil.devices import hardware_session, on_hardware
 from fes.hil.injections import INJECTIONS
 from fes.hil.results import MS, Outputs, off_after_ms
-from fes.hil.scenarios import BY_NAME, SCENARIOS, Moment
+from fes.hil.scenarios import BY_NAME, SCENARIOS, Moment, by_radio
 from fes.hil.sensor_faults import DUMMY_LOAD, PULSE_BY_PULSE, InjectedFaults, RealSensor
 from fes.hil.settings import FOOT, session_text
 from fes.live.sensors import Imu
@@ -450,3 +451,30 @@ def test_a_stimulator_of_every_kind_can_be_judged(tmp_path: Path, device: str) -
             hardware_session(slow)
     else:
         hardware_session(slow)
+
+
+# --- What the fault campaign requires where the sensor's samples come by radio ---
+
+
+SILENT_MS = limits.RADIO.max_data_age_ms + 50.0
+
+
+@pytest.mark.parametrize("name", ["imu_silent", "imu_unplugged", "imu_frozen"])
+def test_a_sensors_fault_may_last_as_long_as_its_data_may_be_old(name: str) -> None:
+    assert BY_NAME[name].deadline_ms < by_radio(BY_NAME[name]).deadline_ms == SILENT_MS
+
+
+def test_the_lease_is_the_radios() -> None:
+    assert by_radio(BY_NAME["controller_killed"]).deadline_ms < BY_NAME["controller_killed"].deadline_ms
+
+
+def test_a_sample_late_by_less_than_latches_is_no_row_by_radio() -> None:
+    assert min(by_radio(BY_NAME["imu_backlog"]).values) > 0.25 > min(BY_NAME["imu_backlog"].values)
+
+
+def test_what_is_required_stays_but_for_the_time_it_may_take() -> None:
+    for row in SCENARIOS:
+        changed = by_radio(row)
+        assert (changed.name, changed.effect, changed.response) == (row.name, row.effect, row.response)
+        assert set(changed.values) <= set(row.values)
+        assert changed.values or not row.values

@@ -25,7 +25,7 @@ from drivers.simulated.imu.device import walking_signal
 from fes.config import load_session
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.estimation.warm_up import warm_up
-from fes.live.realtime import frozen_garbage
+from fes.live.processes import frozen_garbage
 from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession, live_header
 from fes.live.stimulator import LiveStimulator, Opened

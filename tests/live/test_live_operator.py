@@ -274,7 +274,7 @@ def steps_from(begin_ns: int, strides: int) -> Steps:
 
 def test_standing_after_a_walk_is_armed_and_a_test_burst_is_possible() -> None:
     bench = Bench().armed()
-    bench.controller.trackers[FOOT] = cast(FootTracker, steps_from(bench.t_ns + 500 * MS, 6))
+    bench.controller.trackers[FOOT] = cast("FootTracker", steps_from(bench.t_ns + 500 * MS, 6))
     bench.stand(6.0)
     assert bench.operator.state is State.RUNNING
     bench.stand(3.0)
@@ -900,7 +900,7 @@ def test_what_the_system_refuses_is_named_with_its_cost() -> None:
     code = (
         "import resource, json; resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))\n"
         "import os\n"
-        "from fes.live.realtime import become_real_time\n"
+        "from fes.live.processes import become_real_time\n"
         "if os.geteuid() == 0: os.setgid(65534); os.setuid(65534)\n"
         "print(json.dumps([[g.name, g.refused, g.cost, g.remedy] for g in become_real_time()]))\n"
     )

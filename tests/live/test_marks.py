@@ -17,8 +17,7 @@ from replays import SETTINGS, write_cut
 from test_live_operator import Bench
 from test_report import no_loads
 
-from fes.cli.replay.command import Options, replay_recording
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import Options, repeat, replay_recording
 from fes.live.commands import (
     FORMULA,
     LONGEST_MARK,

@@ -34,7 +34,7 @@ from dataclasses import replace
 from pathlib import Path
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus, load_session
-from fes.live.realtime import fixed_priority
+from fes.live.processes import fixed_priority
 from fes.live.supervision import SupervisorProcess
 from fes.signals import ImuSample, OperatorAct, OperatorAction, StimCommand
 

@@ -7,7 +7,7 @@ import itertools
 import pytest
 from test_statemachine import GRID, P, machine_in
 
-from fes.estimation.tracking import first_transition as kernel
+from fes.estimation.tracking import phase_features as kernel
 from statemachine.guards import Features
 from statemachine.machine import GuardDisagreement
 from statemachine.phases import Phase, Transition

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
-from fes.estimation.tracking import first_transition as kernel
+from fes.estimation.tracking import phase_features as kernel
 from fes.recording import read_recording
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine, GuardDisagreement

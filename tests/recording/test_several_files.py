@@ -18,7 +18,7 @@ from test_recording import walk
 import fes
 from fes.recording import RecordingError, Track, read_recording, sidecar_template
 from fes.recording import several_files as module
-from fes.recording.stamps import repaired
+from fes.recording.units import repaired
 
 FINE = walk(seconds=20.0, rate_hz=1000.0)
 EPOCH_NS = 1_790_000_000_000_000_000

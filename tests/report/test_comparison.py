@@ -23,12 +23,12 @@ from fes.report.comparison.page import (
     render_comparison,
     sketch,
 )
-from fes.report.comparison.rows import detectable_change
 from fes.report.comparison.session import (
     AS_DECIDED,
     OFF_LINE,
     ComparedSession,
     ComparisonProblem,
+    detectable_change,
     of_record,
     read_compared,
     with_the_same_timing,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import report_records as make
+from jinja2 import DictLoader, Environment
 from replays import SETTINGS, TRIALS, Replays, both_feet, bursts, cut, replay, trial
 from rich.console import Console
 from shank_walks import shank_walk
@@ -23,11 +25,12 @@ from fes.recording import Recording, write_recording
 from fes.recording.arrays import recording_from_arrays
 from fes.recording.chunks import Chunk, cut_into_chunks
 from fes.report.findings import findings, front_page
+from fes.report.html import TemplateCache
 from fes.report.page import render_report
 from fes.report.summary import SessionSummary, summarise
-from fes.report.tables import summary_block
+from fes.report.tables import stride_table, summary_block
 from fes.session_log import Note, SessionRecord, read_session
-from fes.signals import NS_PER_S
+from fes.signals import NS_PER_S, StimCommand
 
 
 def texts(summary: SessionSummary, *levels: str) -> list[str]:
@@ -305,3 +308,122 @@ def test_an_analysis_has_no_empty_sections_of_stimulation() -> None:
     assert "µC" not in shown
     assert "No fault found in the data" in shown or summarise(record).faults
     assert not [text for text in texts(summarise(record)) if "timulat" in text]
+
+
+# --- The terminal's tables: every number is there, the width is kept ---
+
+
+def shown(renderable, width: int = 100) -> list[str]:
+    console = Console(width=width, file=io.StringIO(), color_system=None)
+    console.print(renderable)
+    return console.file.getvalue().splitlines()
+
+
+def test_a_row_per_stride_with_its_numbers():
+    lines = shown(stride_table(summarise(make.walk(5))))
+    rows = [line.split() for line in lines if line.startswith(("L ", "R "))]
+    assert len(rows) == 10
+    assert rows[-1][:2] == ["R", "4"]
+    by_name = dict(zip(("foot", "no", "start", "length", "clear"), rows[0], strict=False))
+    stride = make.walk(5).strides[0]
+    assert by_name["length"] == f"{stride.stride_length_m:.2f}"
+    assert by_name["clear"] == f"{stride.clearance_m * 100:.1f}"
+    assert rows[-1][-4] == "4"  # onset, ms
+    assert rows[-1][-2] == "20.0"  # peak, mA
+
+
+@pytest.mark.parametrize(("count", "number", "width"), [(0, 0, 80), (3, 0, 80), (120, 0, 80), (3, 20_000, 100)])
+def test_no_number_is_cut_in_80_columns_nor_a_long_session_in_100(count, number, width):
+    record = make.walk(count)
+    record.strides = [replace(stride, number=stride.number + number, reason="slow") for stride in record.strides]
+    record.strides[:1] = [replace(stride, valid=False) for stride in record.strides[:1]]
+    lines = shown(stride_table(summarise(record)), width)
+    assert all(len(line) <= width for line in lines)
+    assert not any("…" in line for line in lines)
+
+
+def test_limit_shows_the_last_strides_and_says_so():
+    lines = shown(stride_table(summarise(make.walk(10)), limit=4))
+    assert sum(line.startswith(("L ", "R ")) for line in lines) == 4
+    assert "The last 4 of 20 strides" in lines[0]
+
+
+def test_reasons_are_told_below_the_table_and_are_not_markup():
+    record = make.walk(4)
+    record.strides[2] = replace(record.strides[2], valid=False, reason="[red]turned[/red] by 50°")
+    record.commands.append(StimCommand(record.strides[-1].t_start_ns + 5, 1, False, 0, 0, 0, 60, "not armed [/]"))
+    record.notes.append(Note(make.at(1), "fault", "gate", "[bold]latched"))
+    record.header["session"]["name"] = "[link=x]trial"
+    summary = summarise(record)
+    text = "\n".join(shown(stride_table(summary)))
+    assert "note 1: left out: [red]turned[/red] by 50°" in text
+    assert "note 2: gate: not armed [/]" in text
+    block = "\n".join(shown(summary_block(summary)))
+    assert "[bold]latched" in block
+    assert "[link=x]trial" in block
+
+
+def test_summary_is_about_a_dozen_lines_and_says_what_matters():
+    lines = shown(summary_block(summarise(make.walk(20))))
+    text = "\n".join(lines)
+    assert len(lines) <= 14
+    assert "40 of 40 swings passed all four phases" in text
+    assert "never outside pre-swing … loading response" in text
+    assert "belt 0.45 m/s" in text
+    assert "99 % within" in text
+
+
+def test_an_empty_session_still_has_a_summary():
+    text = "\n".join(shown(summary_block(summarise(SessionRecord({})))))
+    assert "no proper end" in text
+    assert "No stride was found" in text
+
+
+# --- Compiled templates are kept, made anew when a template changes ---
+
+
+def rendered(text: str) -> str:
+    environment = Environment(loader=DictLoader({"page": text}), autoescape=True, bytecode_cache=TemplateCache())
+    return environment.get_template("page").render(name="Ann")
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "fes-gait" / "templates"
+
+
+def test_what_is_compiled_is_kept_until_the_template_changes(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert rendered("Hello {{ name }}") == "Hello Ann"
+    assert len(list(cache.iterdir())) == 1
+    with monkeypatch.context() as without_compiler:
+        without_compiler.setattr(Environment, "compile", None)
+        assert rendered("Hello {{ name }}") == "Hello Ann"
+        with pytest.raises(TypeError):
+            rendered("Good bye {{ name }}")
+    assert rendered("Good bye {{ name }}") == "Good bye Ann"
+
+
+def test_what_is_damaged_is_compiled_anew(cache: Path) -> None:
+    rendered("Hello {{ name }}")
+    for kept in cache.iterdir():
+        kept.write_bytes(b"rubbish")
+    assert rendered("Hello {{ name }}") == "Hello Ann"
+
+
+@pytest.mark.parametrize("in_the_way", ["fes-gait", "fes-gait/templates"])
+def test_where_nothing_can_be_kept_it_works_without(cache: Path, tmp_path: Path, in_the_way: str) -> None:
+    place = tmp_path / in_the_way
+    place.parent.mkdir(exist_ok=True)
+    place.write_text("a file where a folder should be", encoding="utf-8")
+    assert rendered("Hello {{ name }}") == "Hello Ann"
+    assert place.is_file()
+
+
+def test_a_user_without_a_home_gets_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere() -> Path:
+        raise RuntimeError("no home")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", nowhere)
+    assert rendered("Hello {{ name }}") == "Hello Ann"

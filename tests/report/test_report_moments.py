@@ -18,8 +18,7 @@ from replays import SETTINGS, bursts, cut, replay, trial
 from fes.cli import main
 from fes.recording import write_recording
 from fes.report.explanation import cell
-from fes.report.moments import FINEST_NS, MOST_ROWS, guard_traces
-from fes.report.page import write_report
+from fes.report.page import FINEST_NS, MOST_ROWS, guard_traces, write_report
 from fes.session_log import SessionRecord
 from fes.signals import NS_PER_S
 from statemachine.phases import Transition

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from replays import SETTINGS, rewritten, write_cut
 
 from fes.cli.main import main
-from fes.cli.replay.command import Options, replay_recording
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import Options, repeat, replay_recording
 from fes.session_log import Note, SessionLogError, SessionWriter, read_session
 from fes.session_log.anonymise import DATE, anonymise
 from fes.session_log.codec import decode, decode_json, encode, encode_json

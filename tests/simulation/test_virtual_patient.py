@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from statistics import mean, median
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 from virtual_walks import affected, walk
 
+from benchmarks.lib.real_sets import data_folder, stroke_feet
+from benchmarks.loop import closed_loop_walk, second_patient, tuning_cohort
+from benchmarks.loop.tuning import Kept, Result
 from fes.signals import G_MPS2, NS_PER_S, ImuSample
 from fes.simulation.forward import (
     DeliveredPulse,
     MuscleSettings,
     PatientSettings,
     VirtualPatient,
+    draw_patient,
     harm_of,
     settings_for,
 )
+from fes.simulation.forward.draw import HEMIPARETIC
 from fes.simulation.forward.dynamics import STANCE
 from fes.simulation.forward.gait_patterns import PATTERNS, joint_curves, stride_time_s
 from fes.simulation.sensor import PERFECT, ImuModel
@@ -372,3 +381,100 @@ def test_the_joint_curves_pass_through_the_published_values() -> None:
     assert np.degrees(knee).max() == pytest.approx(62.0, abs=3.0)
     assert phase[int(np.argmax(knee))] == pytest.approx(0.73, abs=0.03)
     assert np.degrees(knee[0]) == pytest.approx(4.0, abs=3.0)
+
+
+# --- The comparison of tunings keeps who has walked, and takes nobody for another tuning's ---
+
+
+def test_who_has_walked_is_kept_and_found_again(tmp_path: Path) -> None:
+    file = tmp_path / "people.jsonl"
+    walked = {"short": Result([True, False, True]), "tuner": replace(Result([False]), latched="why", named="slip")}
+    Kept(file).add(True, 7, {"day": walked})
+    again = Kept(file)
+    assert {arm: again.results[True, 7, "day", arm] for arm in walked} == walked
+    assert again.has(True, 7, "day", ["tuner", "short"])
+    assert again.left(True, 7, ["day", "slip"], ["short"]) == (["slip"], ["short"])
+    assert again.left(True, 7, ["day"], ["short", "plain"]) == (["day"], ["plain"])
+    assert again.left(True, 7, ["day"], ["short", "tuner"]) == ([], [])
+    for other in ((False, 7, "day", ["short"]), (True, 8, "day", ["short"]), (True, 7, "day", ["short", "plain"])):
+        assert not again.has(*other)
+
+
+def test_a_result_of_another_tuning_counts_as_none(tmp_path: Path) -> None:
+    file = tmp_path / "people.jsonl"
+    Kept(file).add(False, 7, {"day": {"short": Result([True])}})
+    row = json.loads(file.read_text(encoding="utf-8"))
+    file.write_text(json.dumps(row | {"tuning": "another"}) + "\n", encoding="utf-8")
+    assert not Kept(file).results
+
+
+# --- The second patient, which judges the tuning: its sensor feels what a foot does ---
+
+
+@pytest.fixture
+def second() -> Any:
+    return second_patient, closed_loop_walk, tuning_cohort
+
+
+def test_level_strides_are_level_to_the_sensor(second: Any) -> None:
+    patients, walks, cohort = second
+    for seed in (1001, 3000):
+        settings, made = patients.draw_second(seed), patients.SecondPatient
+        session = cohort.session_with(made(settings).geometry["right_foot"])
+        done = walks.walk(settings, session, walks.calibration_of(settings, made), 40.0, 15, made=made)
+        rises_m = [one.free_rise_m for one in done.measured if one.valid]
+        assert len(rises_m) > 10
+        assert median(abs(rise_m) for rise_m in rises_m) < 0.02, "it was 0.15 when contacts left it a velocity"
+
+
+def share_below_5_hz(acc_mps2: Any, rate_hz: float) -> float:
+    """Of the power of the acceleration's size (N, 3) about its mean."""
+    size = np.linalg.norm(acc_mps2, axis=1)
+    frequency_hz, power = welch(size - size.mean(), rate_hz, nperseg=int(4 * rate_hz))
+    return float(power[frequency_hz < 5.0].sum() / power.sum())
+
+
+def test_its_foot_shakes_as_real_feet_do(second: Any) -> None:
+    folder = data_folder()
+    if not (folder / "stroke_treadmill").is_dir():
+        pytest.skip(f"the recordings are not here: {folder}")
+    patients, _, _ = second
+    real = median(share_below_5_hz(track.acc_mps2, track.rate_hz) for _, track, _ in stroke_feet(folder))
+    shares = []
+    for seed in (1001, 2000, 3000, 4000, 5000, 6000, 7000, 8000):
+        settings = patients.draw_second(seed)
+        heard = patients.SecondPatient(settings).advance(40_000_000_000)
+        walks = [one.acc_mps2 for one in heard if one.sensor == settings.affected_foot and one.t_ns > 8_000_000_000]
+        shares.append(share_below_5_hz(np.array(walks), settings.rate_hz))
+    print(f"below 5 Hz: {median(shares):.2f} ({min(shares):.2f} to {max(shares):.2f}), real feet {real:.2f}")
+    assert abs(median(shares) / real - 1.0) < 0.2
+
+
+# --- Patients drawn for a cohort: all five slow walks, bodies and delays that differ ---
+
+
+def test_fifteen_in_a_row_have_all_five_slow_walks() -> None:
+    for first in (0, 7, 100):
+        cohort = [draw_patient(5, number) for number in range(first, first + 15)]
+        slow = [one for one in cohort if one.pattern != "none"]
+        assert {one.pattern for one in slow} == set(HEMIPARETIC) == set(PATTERNS) - {"none"}
+        assert all(0.21 <= one.speed_mps <= 0.35 for one in slow)
+        assert all(one.speed_mps > 0.35 for one in cohort if one.pattern == "none")
+
+
+def test_people_differ_and_the_same_number_is_the_same_person() -> None:
+    cohort = [draw_patient(5, number) for number in range(30)]
+    assert cohort == [draw_patient(5, number) for number in range(30)]
+    assert cohort != [draw_patient(6, number) for number in range(30)]
+    heights, delays = {one.height_m for one in cohort}, {one.muscle.delay_s for one in cohort}
+    assert max(heights) - min(heights) > 0.2
+    assert max(delays) - min(delays) > 0.02
+    assert len({one.placements["right_foot"] for one in cohort}) == 30
+    assert any(one.inversion_share > 0.1 for one in cohort)
+    assert any(one.inversion_share < 0.0 for one in cohort)
+
+
+def test_settings_by_name_win() -> None:
+    assert draw_patient(5, 0, side="left", speed_mps=0.3).side == "left"
+    with pytest.raises(ValueError, match="speed_mps"):
+        draw_patient(5, 0, speed_mps=9.0)

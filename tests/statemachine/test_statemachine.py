@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from fes.estimation.tracking import first_transition as kernel
+from fes.estimation.tracking import phase_features as kernel
 from statemachine import guards
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine, GuardDisagreement

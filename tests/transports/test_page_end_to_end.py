@@ -19,7 +19,7 @@ from replays import MS, cut, trial
 
 from drivers.simulated.spawn import free_bus, why_silent
 from fes.cli.common import OK
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.hil.campaign_bench import LOST_TIME
 from fes.live.dashboard.process import press_stop
 from fes.recording import write_recording

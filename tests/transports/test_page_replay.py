@@ -19,7 +19,7 @@ from replays import replay as replay_here
 from websockets.sync.client import ClientConnection, connect
 
 from fes.cli.common import INTERRUPTED, OK, UNUSABLE
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.live.dashboard.process import press_stop
 from fes.session_log import read_session
 

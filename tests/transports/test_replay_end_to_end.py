@@ -18,7 +18,7 @@ from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
 from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.spawn import NodeHandle, free_bus, spawn_node, why_silent
 from fes.cli.common import FAILED, INTERRUPTED, OK, UNUSABLE
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.session_log import read_session
 
 LEASE_MS = 60

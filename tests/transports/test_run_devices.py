@@ -39,7 +39,7 @@ from replays import MS
 
 from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, free_bus, spawn_device, spawn_node, why_silent
 from fes.cli.common import BROKEN, OK, STOPPED
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.session_log import read_session
 
 STOP_MS = 50

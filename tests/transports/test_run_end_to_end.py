@@ -14,7 +14,7 @@ from replays import MS
 
 from drivers.simulated.spawn import free_bus, why_silent
 from fes.cli.common import INTERRUPTED, OK, STOPPED
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.session_log import read_session
 
 LEASE_MS = 60

@@ -35,7 +35,7 @@ from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.spawn import free_bus, why_silent
 from drivers.stimulator.open import Port, open_stimulator
 from fes.calibration.recording import load
-from fes.cli.replay.log import repeat
+from fes.cli.replay.command import repeat
 from fes.config import load_session, validate_session
 from fes.hil.attempts import run_campaign
 from fes.hil.baseline import Baseline

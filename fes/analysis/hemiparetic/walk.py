@@ -24,8 +24,18 @@ from typing import Any
 
 import numpy as np
 
-from fes.analysis.hemiparetic.foot import Foot, FootTrack, common_times, foot_of, in_visualization_frame, tracked
-from fes.analysis.hemiparetic.windows import energy, fitted_threshold, mapped, still_windows
+from fes.analysis.hemiparetic.foot import (
+    Foot,
+    FootTrack,
+    common_times,
+    energy,
+    fitted_threshold,
+    foot_of,
+    in_visualization_frame,
+    mapped,
+    still_windows,
+    tracked,
+)
 from fes.analysis.parameters.gait import GaitParameters, Statistic, gait_parameters, symmetry
 from fes.analysis.pipeline import uneven_strides
 from fes.analysis.results import Analysis

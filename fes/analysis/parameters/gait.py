@@ -3,6 +3,9 @@
 Means, spreads and symmetry are over the steady strides. Also the mean stride of each foot and its spread (Figure 5 of
 Wang et al. 2013, from the project's own strides, stretched to the same length in time, each in its own frame: x along
 it, y to the left, z up), and the parameters of a recording that was analysed in chunks.
+
+A stride runs from mid-stance to mid-stance and holds one swing. Times of contact belong to the stride that they end:
+its stride time, stance and double support are those between the contact before and its own.
 """
 
 from __future__ import annotations
@@ -16,15 +19,96 @@ import numpy as np
 
 from fes.analysis.parameters.contacts import Swings, no_swings, swings_of
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
-from fes.analysis.parameters.motion import pitches
-from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_of
-from fes.analysis.parameters.strides import PARAMETER_COLUMNS, motion_of, stride_parameters
+from fes.analysis.parameters.motion import MOTION_KEYS, motions, pitches, variations
+from fes.analysis.parameters.steps import (
+    LONGEST_STANCE_S,
+    MOST_TURN_RAD,
+    Steps,
+    equalise_sides,
+    seconds_between,
+    step_lengths,
+    steps_of,
+)
 from fes.analysis.results import Analysis
 from fes.analysis.tables import Table, join_tables, table_of
-from fes.estimation.clearance.clearance import FootArms, arms_of
+from fes.estimation.clearance.clearance import FootArms, FootPaths, arms_of
+from fes.estimation.strides.boundaries import UNSEEN_NS
+from fes.estimation.strides.schema import Column
 from fes.recording.at_once import at_once
-from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
+from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, IntArray, StrideResult
 from fes.walk_record import finite_or_none
+
+STEADY_SHARE = 0.3
+STEADY = "within 30 % of the median stride's length, and turning by no more than 20°; only such count in means"
+PARAMETER_COLUMNS = (
+    Column("foot", str, "", "the sensor that it is from"),
+    Column("number", int, "", "the stride's, counted from 1"),
+    Column("t_start_s", float, "s", "the mid-stance where it begins"),
+    Column("t_foot_off_s", float, "s", "foot off (FO), empty where it was not seen"),
+    Column("t_contact_s", float, "s", "initial contact (IC), likewise"),
+    Column("t_end_s", float, "s", "the mid-stance where it ends"),
+    Column("steady", bool, "", STEADY),
+    Column("stride_length_m", float, "m", "as measured, before it is scaled to stride_length_common_m"),
+    *(Column(key, float, DEFINITIONS[key].unit, DEFINITIONS[key].text, DEFINITIONS[key].source) for key in STRIDE_KEYS),
+)
+_KEPT = ("toe_clearance_m", "heel_clearance_m", "height_gained_m", "turn_rad")
+
+
+def stride_parameters(
+    strides: Table,
+    motion: Mapping[str, FloatArray],
+    swings: Swings,
+    steps: Steps,
+    step_lengths_m: FloatArray | None = None,
+    scale: float = 1.0,
+) -> Table:
+    """The parameters of one foot's S valid strides by time, SI units, NaN where not known: :data:`PARAMETER_COLUMNS`.
+
+    ``strides`` are as of ``tables.by_column``, ``motion`` is what the trajectories show, by key; ``swings``, ``steps``
+    and ``step_lengths_m`` (S,) are theirs. ``scale`` is of the stride lengths
+    (:func:`fes.analysis.parameters.steps.equalise_sides`).
+    """
+    names = ("stride_length_m", "clearance_m", *_KEPT)
+    found: dict[str, Any] = {name: strides[name] for name in names} | dict(motion)
+    length_m, seen = found["stride_length_m"], swings.seen
+    usual = float(np.nanmedian(length_m)) if np.isfinite(length_m).any() else math.nan
+    steady = (np.abs(length_m - usual) <= STEADY_SHARE * usual) & (np.abs(found["turn_rad"]) <= MOST_TURN_RAD)
+    swing_s = np.where(seen, (swings.contact_ns - swings.foot_off_ns) / NS_PER_S, math.nan)
+    found |= {"foot": strides["foot"], "number": strides["number"], "steady": steady}
+    times = (strides["t_start_ns"], swings.foot_off_ns, swings.contact_ns, strides["t_end_ns"])
+    for name, t_ns in zip(("t_start_s", "t_foot_off_s", "t_contact_s", "t_end_s"), times, strict=True):
+        found[name] = np.where(t_ns == UNSEEN_NS, math.nan, 1e-9 * t_ns)
+    found |= steps._asdict() | {
+        "lift_m": found.pop("clearance_m"),
+        "stride_length_common_m": scale * length_m,
+        "step_length_m": np.full(len(strides), math.nan) if step_lengths_m is None else step_lengths_m,
+        "swing_s": swing_s,
+        "loading_response_s": seconds_between(swings.contact_ns, swings.foot_flat_ns),
+        "pre_swing_s": seconds_between(swings.heel_rise_ns, swings.foot_off_ns),
+        "speed_mps": scale * length_m / steps.stride_time_s,
+    }
+    for name in ("swing", "stance", "double_support"):
+        found[f"{name}_share"] = found[f"{name}_s"] / steps.stride_time_s
+    return Table(PARAMETER_COLUMNS, found)
+
+
+def neighbours(strides: Table) -> IntArray:
+    """Of a foot's strides by time, the places (P, 2) of each two that follow on each other."""
+    near = np.diff(strides["number"]) == 1
+    near &= strides["t_start_ns"][1:] - strides["t_end_ns"][:-1] < LONGEST_STANCE_S * NS_PER_S
+    after = np.flatnonzero(near) + 1
+    return np.column_stack((after - 1, after))
+
+
+def motion_of(strides: Table, paths: FootPaths, pitch_rad: FloatArray, swings: Swings) -> dict[str, FloatArray]:
+    """What the trajectories of one foot's valid strides show (S,), by key; ``paths`` and ``swings`` are theirs."""
+    side = strides["foot"][0].removesuffix("_foot") if len(strides) else ""
+    found = np.full((len(MOTION_KEYS), len(strides)), math.nan)
+    found[:5] = motions(paths, pitch_rad, swings.foot_off_ns, swings.contact_ns, side).T
+    pairs = neighbours(strides)
+    found[5:, pairs[:, 1]] = variations(paths, pairs).T
+    return dict(zip(MOTION_KEYS, found, strict=True))
+
 
 NAN = math.nan
 
@@ -161,7 +245,7 @@ def mean_strides(strides: Sequence[StrideResult], parameters: Mapping[str, Table
 class GaitParameters:
     """Of a whole recording."""
 
-    strides: dict[str, Table]  # by foot, a row a valid stride, by time; fes.analysis.parameters.strides has the columns
+    strides: dict[str, Table]  # by foot, a row a valid stride, by time; fes.analysis.parameters.gait has the columns
     feet: dict[str, dict[str, Statistic]]  # by foot, of every stride parameter over the steady strides
     sides: dict[str, Symmetry]  # by parameter, the two sides compared; empty with one foot
     walk: Walk

@@ -45,8 +45,7 @@ from fes.live.commands import CommandKind, OperatorCommand
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import sides_said, unchecked_side
-from fes.live.processes import HelperProcess
-from fes.live.realtime import become_real_time
+from fes.live.processes import HelperProcess, become_real_time
 from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.source import LiveSource

@@ -15,8 +15,7 @@ from drivers.stimulator.port import StimulatorLost
 from fes.config import ConfigError, validate_session
 from fes.gate import gate_of
 from fes.live.inputs import StopFile
-from fes.live.processes import end_with
-from fes.live.realtime import fixed_priority, frozen_garbage, locked_memory
+from fes.live.processes import end_with, fixed_priority, frozen_garbage, locked_memory
 from fes.live.supervision import MOST_BYTES, What, datagram, packed, unpacked
 from fes.live.supervisor import PortOpened, Supervisor, opened_values, serve
 from fes.signals import SystemFault

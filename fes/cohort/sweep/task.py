@@ -32,9 +32,11 @@ from fes.evaluation.timing.marks import (
     pair_times,
     timing_rows,
 )
+from fes.recording import read_recording
+from fes.recording.tracks import samples_of
 from fes.signals import NS_PER_S, FloatArray, StimRequest, StrideResult
-from fes.simulation.forward import VirtualStride
-from fes.simulation.truth import Truth
+from fes.simulation.forward import VirtualPatient, VirtualStride, draw_patient
+from fes.simulation.truth import Truth, load_truth
 from statemachine.guards import Thresholds
 from statemachine.phases import PhaseChange
 
@@ -191,8 +193,6 @@ class Patient:
 
     def settings(self, foot: str, channel: int) -> PatientSettings:
         """Someone with a drop foot on that side, whose dorsiflexors that channel stimulates."""
-        from fes.simulation.forward import draw_patient
-
         side = foot.removesuffix("_foot")
         return draw_patient(self.seed, self.number, side=side, channel=channel, sensors=(foot,), stand_s=STAND_S)
 
@@ -267,9 +267,6 @@ def with_thresholds(calibrations: dict[str, Calibration], point: Point) -> dict[
 @lru_cache(maxsize=2)
 def _loaded(source: Source) -> tuple[Recording, Truth | None]:
     """A recording and its truth; a process gets most combinations of one after the other."""
-    from fes.recording import read_recording
-    from fes.simulation.truth import load_truth
-
     with local_copy(source, TRUTH_FILES) as path:
         recording = read_recording(path)
         try:
@@ -291,7 +288,6 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
     from fes.control.replay import session_for
     from fes.control.runner import armed_after, with_ticks
     from fes.estimation.sensor_choice import phase_sensors, tracker_of
-    from fes.recording.tracks import samples_of
 
     recording, truth = _loaded(source)
     session = session_for(recording, session_with(bench.session, point, Path(bench.path)))
@@ -325,7 +321,6 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
 def _calibrated(patient: Patient, foot: str, channel: int) -> tuple[PatientSettings, dict[str, Calibration], Any]:
     """A patient's settings, calibrations from a walk without stimulation, and where toe and heel are."""
     from fes.hil.settings import patient_calibration
-    from fes.simulation.forward import VirtualPatient
 
     settings = patient.settings(foot, channel)
     geometry = VirtualPatient(settings).geometry[foot]

@@ -13,13 +13,13 @@ from fes.estimation.foot.orientation import OrientationSettings, correct_by_grav
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_world
-from fes.estimation.tracking.first_transition import first_transition
 from fes.estimation.tracking.phase_features import (
     FIELDS,
     LAGS,
     LONG_AGO_NS,
     dead_reckon,
     features,
+    first_transition,
     observe,
     per_second,
     start_phases,

@@ -23,12 +23,44 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import IO, Any, Final, TypeVar, cast
 
 import numpy as np
 
 import fes.signals
-from fes.estimation.numerics.file_lock import lock
+
+try:
+    from fcntl import LOCK_EX, LOCK_NB, flock
+except ImportError:  # Windows
+    import errno
+    import msvcrt
+    import os
+
+    def lock(file: IO[str], *, wait: bool = True) -> None:
+        """As below, on the first byte, which need not be there."""
+        mode = getattr(msvcrt, "LK_LOCK" if wait else "LK_NBLCK")
+        while True:
+            os.lseek(file.fileno(), 0, os.SEEK_SET)
+            try:
+                getattr(msvcrt, "locking")(file.fileno(), mode, 1)  # noqa: B009 - typed on Windows alone
+                return
+            except OSError as error:
+                if not wait and error.errno == errno.EACCES:
+                    raise BlockingIOError(*error.args) from error
+                if error.errno != errno.EDEADLK:  # what it says after ten seconds of waiting
+                    raise
+
+else:
+
+    def lock(file: IO[str], *, wait: bool = True) -> None:
+        """Lock a file against other processes.
+
+        Raises:
+            BlockingIOError: another process has it, and ``wait`` is False.
+            OSError: this file system has no locks.
+        """
+        flock(file, LOCK_EX if wait else LOCK_EX | LOCK_NB)
+
 
 numba: Any
 try:
@@ -266,7 +298,7 @@ def _compiled(function: Function, **options: str | set[str]) -> Function:
         return function
     made = numba.njit(cache=KEPT is not None, nogil=True, **options)(function)
     _functions.append(made)
-    return cast(Function, made)
+    return cast("Function", made)
 
 
 def _as_it_is(values: Any) -> Any:
@@ -293,7 +325,7 @@ def by_number(function: Function) -> Function:
     """
     if not PLAIN:
         return function
-    return cast(Function, lambda *given: function(*(x.data if isinstance(x, np.ndarray) else x for x in given)))
+    return cast("Function", lambda *given: function(*(x.data if isinstance(x, np.ndarray) else x for x in given)))
 
 
 def jit_ieee(function: Function) -> Function:

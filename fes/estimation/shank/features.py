@@ -13,12 +13,12 @@ import numpy as np
 
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
-from fes.estimation.tracking.first_transition import first_transition
 from fes.estimation.tracking.phase_features import (
     FIELDS,
     LAGS,
     LONG_AGO_NS,
     features,
+    first_transition,
     observe,
     per_second,
     start_phases,

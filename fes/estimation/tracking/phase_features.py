@@ -2,6 +2,8 @@
 
 The state's ``FIELDS`` are part of each core's own. This person's measures follow the strides: each by an eighth of what
 a stride shows, within bounds about the calibrated ones.
+
+Which transition fires then is up to the guards of ``statemachine/guards.py``, compiled as they stand.
 """
 
 import math
@@ -11,7 +13,9 @@ import numpy as np
 
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import Record, Vec
-from statemachine.guards import Features
+from statemachine.guards import Features, Thresholds
+from statemachine.phases import Phase, Transition
+from statemachine.table import TABLE
 
 LAGS = 64  # longest look-back in samples: 10 ms at over 5 kHz
 LONG_AGO_NS = 3_600_000_000_000
@@ -226,3 +230,27 @@ def enter_phase(core: Record, phase: int) -> None:
 def _follow(measure: float, shown: float, calibrated: float) -> float:
     followed = measure + FOLLOW * (shown - measure)
     return min(max(followed, LEAST * calibrated), MOST * calibrated)
+
+
+_t1, _t2, _t3, _t4, _t5, _t6 = (jit_ieee(row.guard) for row in TABLE)
+
+
+@jit_ieee
+def first_transition(phase: int, x: Features, p: Thresholds) -> int:
+    """The number of the first row of the table that leaves ``phase`` and whose guard holds; 0 for none.
+
+    A compiler does not loop over functions, so the rows stand here one by one; tests hold them to the table.
+    """
+    if phase == Phase.STANCE.value and _t1(x, p):
+        return Transition.T1.value
+    if phase == Phase.PRE_SWING.value and _t2(x, p):
+        return Transition.T2.value
+    if phase == Phase.SWING.value and _t3(x, p):
+        return Transition.T3.value
+    if phase == Phase.LOADING_RESPONSE.value and _t4(x, p):
+        return Transition.T4.value
+    if phase == Phase.PRE_SWING.value and _t5(x, p):
+        return Transition.T5.value
+    if phase == Phase.SWING.value and _t6(x, p):
+        return Transition.T6.value
+    return 0

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -538,8 +539,6 @@ def as_baseline(timing: RecordingTiming, sha256: str, settings: str, subject: st
 
 def junit(outcomes: Sequence[RecordingTiming]) -> str:
     """JUnit XML: a suite for each recording, a case for each kind of mark and the latency."""
-    from xml.etree import ElementTree
-
     root = ElementTree.Element("testsuites", name="fes timing")
     for each in outcomes:
         cases = [(BASELINE, row.who, row.what) for row in each.own] + [(TRUTH, row.who, row.what) for row in each.true]

@@ -14,8 +14,10 @@ import numpy as np
 from markupsafe import Markup
 
 from fes.evaluation.agreement import Interval
-from fes.report.comparison.rows import (
+from fes.report.comparison.session import (
     KEY,
+    PHASES,
+    ComparedSession,
     ParameterRow,
     SymmetryRow,
     changes,
@@ -26,8 +28,8 @@ from fes.report.comparison.rows import (
     speed_differs,
     symmetry_rows,
     value_text,
+    with_the_same_timing,
 )
-from fes.report.comparison.session import PHASES, ComparedSession, with_the_same_timing
 from fes.report.figures.strides import PHASE_COLORS, foot_color
 from fes.report.figures.svg import Figure, Plot, nice_ticks, padded
 from fes.report.gait import POINTS, by_distance, spread_of

@@ -2,10 +2,9 @@
 
 from fes.simulation.forward.closed_loop import recorded_walk
 from fes.simulation.forward.draw import draw_patient
-from fes.simulation.forward.harm import Harm, harm_of
 from fes.simulation.forward.patient import VirtualPatient
 from fes.simulation.forward.settings import DeliveredPulse, MuscleSettings, PatientSettings, load_patient, settings_for
-from fes.simulation.forward.walker import FootEvent, VirtualStride
+from fes.simulation.forward.walker import FootEvent, Harm, VirtualStride, harm_of
 
 __all__ = [
     "DeliveredPulse",
