@@ -37,7 +37,8 @@ class Case:
     @staticmethod
     def read(path: Path) -> Case:
         with np.load(path) as data:
-            return Case(**{name: value.tolist() if name in PLAIN else value for name, value in data.items()})
+            given = {name: value.tolist() if name in PLAIN else value for name, value in data.items()}
+        return Case(**given | {"tasks": tuple(given["tasks"])})
 
 
 @dataclass(frozen=True)
