@@ -32,14 +32,7 @@ from benchmarks.accuracy.events import METHODS as EVENT_METHODS
 from benchmarks.accuracy.events import Score, holds, score, strike_angles, strike_score, stroke_tracks
 from benchmarks.accuracy.orientation import FILTERS, broad, gaitmap_pitch, upward
 from benchmarks.accuracy.shank_phases import evaluate as evaluate_shanks
-from benchmarks.accuracy.stride_length import (
-    FUSED,
-    METHODS,
-    belt_ratios,
-    clearance_errors,
-    strides_between,
-    strides_of,
-)
+from benchmarks.accuracy.stride_length import FUSED, METHODS, belt_ratios, clearance_errors, strides_between, strides_of
 from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, lengths_m, path_of
 from benchmarks.lib.real_sets import PathWalk, Walk, gaitmap_cases, gaitmap_walk, pyshoe, xio
 from benchmarks.lib.swing_judge import score as order

@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.accuracy.accuracy_ours import our_rows
-from benchmarks.accuracy.accuracy_rows import Row, in_order, markdown, verdicts, with_bar
+from benchmarks.accuracy.accuracy_rows import in_order, markdown, verdicts, with_bar
 from benchmarks.lib.command_line import no_recordings, parser_of
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.peers.cases import all_asked
@@ -52,7 +52,8 @@ def main(arguments: list[str] | None = None) -> int:
     notes = [] if runs else [f"Peers are not in this table: {options.peers} is not there; `make peers` makes it."]
     notes += [f"Peers are not complete: {failure}." for failure in failures]
     print("\n".join([*verdicts(rows), *notes, f"{time.monotonic() - began:.0f} s; {options.markdown}"]))
-    for path, text in ((options.json, to_json(rows, notes)), (options.markdown, markdown(rows, notes))):
+    told = json.dumps({"notes": notes, "rows": [row.to_json() for row in rows]}, indent=1, ensure_ascii=False) + "\n"
+    for path, text in ((options.json, told), (options.markdown, markdown(rows, notes))):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     return 0
@@ -64,11 +65,6 @@ def peers_at_work(python: Path, exchange: Path) -> dict[str, subprocess.Popen[by
         return {}
     scripts = Path(__file__).parents[1] / "peers"
     return {runner: subprocess.Popen([python, scripts / runner, exchange]) for runner in RUNNERS}
-
-
-def to_json(rows: list[Row], notes: list[str]) -> str:
-    """The table for programs."""
-    return json.dumps({"notes": notes, "rows": [row.to_json() for row in rows]}, indent=1, ensure_ascii=False) + "\n"
 
 
 if __name__ == "__main__":

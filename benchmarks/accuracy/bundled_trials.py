@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.lib.command_line import console_of, mean_sd, parser_of, publish, table_of, verdict
-from benchmarks.lib.real_sets import NAMES, TRIALS
+from benchmarks.lib.real_sets import trials
 from benchmarks.lib.walkers import outcomes_of
 from fes.calibration.recording import calibrate_track
-from fes.recording import Recording, read_recording
+from fes.recording import Recording
 from fes.signals import FloatArray, StrideResult
-from fes.simulation.truth import TruthStride, load_truth
+from fes.simulation.truth import TruthStride
 
 BARS_CM = {"length cm": (1.7, 1.7), "clearance cm": (0.3, 0.4)}
 COLUMNS = ("length cm", "clearance cm", "toe cm", "heel cm", "IC ms", "FO ms")
@@ -26,12 +26,8 @@ def pairs_of(recording: Recording, foot: str, truth: list[TruthStride]) -> list[
     track = recording.tracks[foot]
     outcomes = outcomes_of(track, calibrate_track(track), recording.geometry.get(foot))
     found = [each for each in outcomes if isinstance(each, StrideResult)]
-    pairs = []
-    for true in truth:
-        own = next((s for s in found if s.t_start_ns < 1e9 * true.t_swing_s < s.t_end_ns), None)
-        if own is not None and own.valid:
-            pairs.append((own, true))
-    return pairs
+    held = ((next((s for s in found if s.t_start_ns < 1e9 * t.t_swing_s < s.t_end_ns), None), t) for t in truth)
+    return [(own, true) for own, true in held if own is not None and own.valid]
 
 
 def errors_of(pairs: list[tuple[StrideResult, TruthStride]]) -> FloatArray:
@@ -55,8 +51,7 @@ def in_order(stride: StrideResult) -> bool:
 def main(arguments: list[str] | None = None) -> int:
     options = parser_of(__doc__).parse_args(arguments)
     rows, held = [], True
-    for name in (*NAMES, "not_walking"):
-        recording, truth = read_recording(TRIALS / f"{name}.parquet"), load_truth(TRIALS / f"{name}.parquet")
+    for _, recording, truth in trials():
         for foot in recording.tracks:
             true = [s for s in truth.strides_of(foot) if s.steady and s.walking]
             pairs = pairs_of(recording, foot, true)

@@ -53,7 +53,6 @@ class Foot:
     pattern: str
     speed_mps: float
     refused: str = ""
-    strides: int = 0
     error_deg: float = float("nan")  # against the foot's own axis
     across_deg: float = float("nan")  # against the line across the walk
     sd_deg: float = float("nan")
@@ -80,10 +79,8 @@ def judged(seed: int, settings: PatientSettings, track: Track) -> Foot:
     own = own - (own @ up) * up
     outward = 1.0 if track.sensor.startswith("left") else -1.0
     off = outward * np.degrees(np.arctan2(up @ np.cross(own, found.toe_down), own @ found.toe_down))
-    sd = float(np.degrees(found.axis_sd_rad))
-    return replace(
-        one, strides=found.strides, error_deg=float(off), across_deg=float(off + np.degrees(TOE_OUT_RAD)), sd_deg=sd
-    )
+    degrees = (float(each) for each in (off, off + np.degrees(TOE_OUT_RAD), np.degrees(found.axis_sd_rad)))
+    return Foot(seed, settings.pattern, settings.speed_mps, "", *degrees)
 
 
 def reversed_in_time(track: Track) -> Track:
@@ -129,7 +126,6 @@ def shaken(seed: int) -> Track:
 
 
 def standing(settings: PatientSettings) -> Track:
-    """The patient stands."""
     patient = VirtualPatient(settings)
     patient.stay()
     samples = patient.advance(STOOD_S * NS_PER_S)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
-from benchmarks.lib.real_sets import MARKERS_HZ, NAMES, STRAIGHT_RAD, TRIALS, data_folder, gaitmap_markers, gaitmap_walk
+from benchmarks.lib.real_sets import MARKERS_HZ, STRAIGHT_RAD, data_folder, gaitmap_markers, gaitmap_walk, trials
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
     HEEL,
@@ -36,14 +36,13 @@ from fes.estimation.clearance.clearance import (
 from fes.estimation.clearance.geometry import estimate_geometry
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
-from fes.recording import Track, read_recording
+from fes.recording import Track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
-from fes.simulation.truth import load_truth
+from fes.simulation.truth import TruthStride
 
 GRID_HZ = 200.0
 LOW_PASS_HZ = 6.0
 BAR_M = (0.003, 0.006)
-WALKS = (*NAMES, "not_walking")
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,6 @@ class Row:
 
     @property
     def holds(self) -> bool:
-        """Whether toe and heel meet the bar."""
         return all(abs(mean) <= BAR_M[0] and sd <= BAR_M[1] for mean, sd in (self.toe_m, self.heel_m))
 
 
@@ -134,7 +132,6 @@ def given_arms(strides: list[MarkedStride]) -> FootArms:
 
 
 def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
-    """What the module's text says, by name."""
     given = given_arms(strides)
     sole = arms_of(estimate_geometry([stride.path for stride in strides]).geometry)
     toe_up, heel_up = (float(np.median([getattr(s, name)[0, 2] for s in strides])) for name in ("toe_m", "heel_m"))
@@ -165,10 +162,9 @@ def trial_rows() -> Iterator[Row]:
     """The bundled trials, all feet together, steady strides."""
     for kind, anchored in product(("given", "estimated"), (False, True)):
         errors = []
-        for walk, (foot, geometry, paths) in ((name, each) for name in WALKS for each in trial_paths(name)):
+        for truth, geometry, paths in trial_paths():
             arms = arms_of(estimate_geometry(paths).geometry) if kind == "estimated" else geometry
             levels = contact_levels(contact_heights(paths, arms)) if anchored else None
-            truth = load_truth(TRIALS / f"{walk}.parquet").strides_of(foot)
             for true in (each for each in truth if each.steady and each.walking):
                 path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
                 if path is not None:
@@ -178,11 +174,12 @@ def trial_rows() -> Iterator[Row]:
 
 
 @cache
-def trial_paths(trial: str) -> list[tuple[str, FootArms, list[FootPath]]]:
-    """Foot, its true arms and its strides' paths, of a bundled trial."""
-    recording = read_recording(TRIALS / f"{trial}.parquet")
+def trial_paths() -> list[tuple[list[TruthStride], FootArms, list[FootPath]]]:
+    """Of each foot of the bundled trials its true strides, its true arms and its strides' paths."""
     return [
-        (foot, arms_of(geometry), walked(recording.tracks[foot])[1]) for foot, geometry in recording.geometry.items()
+        (truth.strides_of(foot), arms_of(geometry), walked(recording.tracks[foot])[1])
+        for _, recording, truth in trials()
+        for foot, geometry in recording.geometry.items()
     ]
 
 

@@ -16,14 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
-from benchmarks.lib.real_sets import (
-    Case,
-    bundled_cases,
-    data_folder,
-    gaitmap_cases,
-    load_run,
-    strike_deg,
-)
+from benchmarks.lib.real_sets import Case, bundled_cases, data_folder, gaitmap_cases, load_run, strike_deg
 from benchmarks.lib.walkers import causal
 from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import OnlineEvent, OnlineEvents, Rule

@@ -135,7 +135,6 @@ def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -
 
 
 def judge(foot: Foot) -> Found:
-    """Everything about one foot."""
     found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
     track, swings = foot.track, swings_of(foot)
     found.swings, found.strides = len(swings.whole()), len(pairs(swings))

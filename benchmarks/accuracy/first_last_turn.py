@@ -20,27 +20,24 @@ from random import Random
 import numpy as np
 
 from benchmarks.accuracy.true_steps import Kind, Step, classified, marker_steps, sensor_steps
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
-from benchmarks.lib.real_sets import NAMES, TRIALS, data_folder, gaitmap_walk
+from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of
+from benchmarks.lib.real_sets import data_folder, gaitmap_walk, trials
 from benchmarks.lib.walkers import calibrate, causal, feet_of
 from fes.estimation.foot.calibration import CalibrationError
-from fes.recording import Track, read_recording
+from fes.recording import Track
 from fes.signals import FloatArray
 from fes.simulation.forward import PatientSettings, VirtualPatient, draw_patient, settings_for
 from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.forward.draw import draw_movement
-from fes.simulation.truth import Truth, load_truth
+from fes.simulation.truth import Truth
 
 NEAR_S = 0.2
-BUNDLED = (*NAMES, "not_walking")
 SEED, WALKS = 88_271, 10  # of healthy ones, and of drop feet
 KINDS = {"mid-walk": Kind.MID, "first": Kind.FIRST, "last": Kind.LAST, "turning": Kind.TURN}
 
 
 @dataclass(frozen=True, slots=True)
 class Foot:
-    """One foot with its true steps."""
-
     group: str
     name: str
     track: Track
@@ -77,9 +74,8 @@ def of_truth(group: str, name: str, tracks: dict[str, Track], truth: Truth) -> I
 
 
 def bundled(_: Path) -> Iterator[Foot]:
-    for name in BUNDLED:
-        path = TRIALS / f"{name}.parquet"
-        yield from of_truth("bundled", name, read_recording(path).tracks, load_truth(path))
+    for name, recording, truth in trials():
+        yield from of_truth("bundled", name, recording.tracks, truth)
 
 
 def stop_and_go(settings: PatientSettings, name: str) -> tuple[dict[str, Track], Truth]:
@@ -167,10 +163,6 @@ def judge(foot: Foot) -> tuple[list[Found], dict[str, float]]:
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def spread(ms: list[float]) -> str:
-    return f"{np.median(ms):+.0f} [{np.percentile(ms, 5):.0f}, {np.percentile(ms, 95):.0f}]" if ms else "–"
-
-
 def rows_of(found: list[Found], false: dict[str, Counter[str]]) -> Iterator[list[str]]:
     groups: defaultdict[tuple[str, str], list[Found]] = defaultdict(list)
     for one in found:
@@ -179,12 +171,13 @@ def rows_of(found: list[Found], false: dict[str, Counter[str]]) -> Iterator[list
         steps = sum(one.steps for one in ones)
         if not steps:
             continue
+        edges = ("+.0f", ".0f")
         contacts, offs = ([ms for one in ones for ms in getattr(one, name)] for name in ("contact_ms", "off_ms"))
         wrong = [f"{100.0 * false[group][name] / false[group]['steps']:.1f}" for name in ("T2", "T3")]
         yield [
             group, kind, str(steps), f"{100.0 * len(contacts) / steps:.1f}",
-            f"{100.0 * sum(one.contacts_with_t6 for one in ones) / steps:.1f}", spread(contacts),
-            f"{100.0 * len(offs) / steps:.1f}", spread(offs), ", ".join(wrong) if kind == "mid-walk" else "",
+            f"{100.0 * sum(one.contacts_with_t6 for one in ones) / steps:.1f}", spread(contacts, *edges),
+            f"{100.0 * len(offs) / steps:.1f}", spread(offs, *edges), ", ".join(wrong) if kind == "mid-walk" else "",
         ]  # fmt: skip
 
 

@@ -22,11 +22,10 @@ import numpy as np
 
 from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
 from benchmarks.lib.real_sets import data_folder, stairs
-from benchmarks.lib.walkers import SETS, feet_of, outcomes_of
+from benchmarks.lib.walkers import SETS, calibrated, feet_of, outcomes_of
 from fes.analysis.pipeline import analyse, calibrations_of
-from fes.calibration.recording import calibrate_track
 from fes.config import FootGeometry, Ground
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Recording, Track
 from fes.signals import StrideResult
 from fes.simulation.truth import Truth, TruthStride
@@ -57,7 +56,6 @@ class Clearance:
 
 
 def walked(walker: str, incline_percent: float, seed: int) -> tuple[Recording, Truth]:
-    """The recording and its truth."""
     placements, styles, count, speed_mps, ramp_s, rate_hz = WALKERS[walker]
     session = new_session(walker, seed, placements)
     session.incline_percent = incline_percent
@@ -77,7 +75,6 @@ def live_strides(
 
 
 def clearances(walker: str) -> Iterator[Clearance]:
-    """Of every incline and way."""
     for seed, incline in product(SEEDS, INCLINES_PERCENT):
         if incline == INCLINES_PERCENT[0]:
             level = calibrations_of(walked(walker, 0.0, seed)[0])[1].calibrations
@@ -108,13 +105,8 @@ def paired(found: list[StrideResult], truth: Truth) -> Iterator[tuple[StrideResu
     """Valid strides with the true ones of the same swing, while the belt runs steadily."""
     for true in truth.strides:
         for mine in found:
-            if (
-                true.steady
-                and mine.valid
-                and mine.foot == true.foot
-                and mine.t_swing_ns is not None
-                and abs(1e-9 * mine.t_swing_ns - true.t_swing_s) < 0.15
-            ):
+            told = true.steady and mine.valid and mine.foot == true.foot and mine.t_swing_ns is not None
+            if told and abs(1e-9 * mine.t_swing_ns - true.t_swing_s) < 0.15:
                 yield mine, true
 
 
@@ -134,7 +126,6 @@ class Rises:
 
 
 def rises(data: Path) -> Iterator[Rises]:
-    """Of the stairs and of all level sets."""
     climb = stairs(data)
     if climb is not None:
         calibrations, found = calibrations_of(climb, incline=math.nan)[1].calibrations, Rises("gaitmap, stairs", [])
@@ -143,9 +134,7 @@ def rises(data: Path) -> Iterator[Rises]:
         yield found
     by_set: dict[str, Rises] = {}
     for foot in feet_of(data, [name for name in SETS if name != "shanks"]):
-        try:
-            calibration = calibrate_track(foot.track)
-        except CalibrationError:
+        if not isinstance(calibration := calibrated(foot.track), FootCalibration):
             continue
         own = by_set.setdefault(foot.data_set, Rises(foot.data_set, []))
         own.add(live_strides(foot.track, calibration, None, Ground()))

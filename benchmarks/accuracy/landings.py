@@ -61,7 +61,6 @@ class Late:
     left: list[float] = field(default_factory=list)
 
     def with_feet(self, other: Late) -> Late:
-        """Of both together."""
         return Late(*(getattr(self, each.name) + getattr(other, each.name) for each in fields(self)))
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -31,7 +31,7 @@ from benchmarks.lib.walkers import (
     SETS,
     SHORT_FLAT,
     Foot,
-    calibrate,
+    calibrated,
     causal,
     feet_of,
     of_all,
@@ -39,7 +39,7 @@ from benchmarks.lib.walkers import (
 )
 from fes.cohort.sweep.grid import Point
 from fes.cohort.sweep.task import with_thresholds
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import read_recording
 from fes.simulation.truth import load_truth
 from statemachine.guards import Thresholds
@@ -71,37 +71,25 @@ Values = tuple[tuple[str, float], ...]
 Walker = tuple[str, str]  # set and person
 
 
-@dataclass
-class Judged:
-    """One foot by one set of values, or several together; ``late_ms`` by instant, where a truth is."""
-
-    strides: int = 0
-    in_order: int = 0
-    swings: int = 0
-    false_swings: int = 0
-    flat_ms: list[float] = field(default_factory=list)
-    left_ms: list[float] = field(default_factory=list)
-    late_ms: dict[str, list[float]] = field(default_factory=dict)
-
-    def off_ms(self, instant: str) -> float:
-        """Size of the median error; NaN where there is no truth."""
-        return abs(float(np.median(self.late_ms[instant]))) if self.late_ms.get(instant) else float("nan")
-
-    @property
-    def cost(self) -> float:
-        """What choosing makes least, ms."""
-        disorder = 100.0 * (self.strides - self.in_order) / self.strides if self.strides else 0.0
-        return float(np.nansum((self.off_ms("T4"), self.off_ms("T1")))) + ORDER_MS * disorder
+def off_ms(found: Found, instant: str) -> float:
+    """Size of the median error; NaN where there is no truth."""
+    return abs(float(np.median(found.later_ms[instant]))) if found.later_ms.get(instant) else float("nan")
 
 
-def together(judged: Iterable[Judged]) -> Judged:
+def cost_ms(found: Found) -> float:
+    """What choosing makes least."""
+    disorder = 100.0 * (found.strides - found.in_order) / found.strides if found.strides else 0.0
+    return float(np.nansum((off_ms(found, "T4"), off_ms(found, "T1")))) + ORDER_MS * disorder
+
+
+def together(feet: Iterable[Found]) -> Found:
     """A walker's feet as one."""
-    whole = Judged()
-    for foot in judged:
-        for name in ("strides", "in_order", "swings", "false_swings", "flat_ms", "left_ms"):
+    whole = Found("", "", "", "", "")
+    for foot in feet:
+        for name in ("strides", "in_order", "swings", "false_swings", "flat_ms", "loading_left_ms"):
             setattr(whole, name, getattr(whole, name) + getattr(foot, name))
-        for instant, late in foot.late_ms.items():
-            whole.late_ms[instant] = whole.late_ms.get(instant, []) + late
+        for instant, late in foot.later_ms.items():
+            whole.later_ms[instant] = whole.later_ms.get(instant, []) + late
     return whole
 
 
@@ -121,22 +109,18 @@ def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
             yield foot
 
 
-def judge(values: list[Values], foot: Foot) -> list[Judged]:
-    """One foot by some values each."""
+def judge(values: list[Values], foot: Foot) -> list[Found]:
     swings, sensor = swings_of(foot), foot.track.sensor
     strides = [pair for pair in pairs(swings) if foot.labels is None or foot.labels.judged(*pair)]
-    try:
-        calibration = calibrate(foot.track)
-    except CalibrationError:
-        return [Judged(len(strides), 0, len(swings.whole()))] * len(values)
-    assert isinstance(calibration, FootCalibration)
+    names, counted = (foot.data_set, foot.part, foot.person, foot.run, sensor), (len(strides), len(swings.whole()))
+    if not isinstance(calibration := calibrated(foot.track), FootCalibration):
+        return [Found(*names, strides=counted[0], swings=counted[1])] * len(values)
     judged = []
     for each in values:
         point = Point(tuple((f"thresholds.{name}", value) for name, value in each))
         changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
         counts = score(swings, changes, solved)
-        found = Found(foot.data_set, foot.part, foot.person, foot.run, sensor)
-        found.in_order, found.false_swings = counts.in_order, counts.false_swings
+        found = Found(*names, "", counted[0], counts.in_order, counted[1], counts.false_swings)
         if foot.labels is not None:
             against_labels(found, foot.labels, swings, changes)
             found.later_ms.pop("T1", None)  # switches see a heel rise late, each its own
@@ -152,8 +136,7 @@ def judge(values: list[Values], foot: Foot) -> list[Judged]:
                 found.later_ms[instant.name] = [ms for one in marks for ms in errors_ms(one, changes, instant)[1]]
         elif foot.data_set == "bundled":
             found.later_ms = against_truth(foot, changes)
-        counted = len(strides), found.in_order, len(swings.whole()), found.false_swings
-        judged.append(Judged(*counted, found.flat_ms, found.loading_left_ms, found.later_ms))
+        judged.append(found)
     return judged
 
 
@@ -202,13 +185,13 @@ def main(arguments: list[str] | None = None) -> int:
     singles = [own, *(_values(OWN | {n: v}) for n in options.constants for v in GUARDS[n] if v != OWN[n])]
     judged = of_all(partial(judge, singles), feet, options.jobs)
     costs = {
-        values: {walker: together(judged[k][at] for k in its).cost for walker, its in walkers.items()}
+        values: {walker: cost_ms(together(judged[k][at] for k in its)) for walker, its in walkers.items()}
         for at, values in enumerate(singles)
     }
     folds = {walker: chosen(costs, options.constants, walker) for walker in walkers}
     combined = sorted({*folds.values(), own})
     final = of_all(partial(judge, combined), feet, options.jobs)
-    groups: dict[str, list[tuple[list[Judged], list[Judged]]]] = defaultdict(list)
+    groups: dict[str, list[tuple[list[Found], list[Found]]]] = defaultdict(list)
     for walker, its in walkers.items():
         out, inside = ([final[k][combined.index(values)] for k in its] for values in (folds[walker], own))
         part = feet[its[0]].part
@@ -239,11 +222,11 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _cells(walkers: list[list[Judged]]) -> list[str]:
+def _cells(walkers: list[list[Found]]) -> list[str]:
     persons, feet = [together(each) for each in walkers], [foot for each in walkers for foot in each]
-    flat, left = ([ms for foot in feet for ms in getattr(foot, name)] for name in ("flat_ms", "left_ms"))
+    flat, left = ([ms for foot in feet for ms in getattr(foot, name)] for name in ("flat_ms", "loading_left_ms"))
     most = [float(np.median(person.flat_ms)) for person in persons if person.flat_ms]
-    off = [[x for x in (person.off_ms(each.name) for person in persons) if not np.isnan(x)] for each in TIMED]
+    off = [[x for x in (off_ms(person, each.name) for person in persons) if not np.isnan(x)] for each in TIMED]
     every = together(feet)
     return [
         f"{100.0 * every.in_order / max(every.strides, 1):.2f}",
@@ -252,7 +235,7 @@ def _cells(walkers: list[list[Judged]]) -> list[str]:
         *(f"{np.median(ms):.0f}" if ms else "–" for ms in (flat, left)),
         f"{max(most):.0f}" if most else "–",
         *(f"{np.mean(sizes):.0f}" if sizes else "–" for sizes in off),
-        f"{np.mean([person.cost for person in persons]):.1f}",
+        f"{np.mean([cost_ms(person) for person in persons]):.1f}",
     ]
 
 

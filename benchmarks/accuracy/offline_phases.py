@@ -15,17 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
-from benchmarks.lib.real_sets import NAMES, TRIALS, PathWalk, data_folder, marker_strides
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.real_sets import NAMES, PathWalk, data_folder, marker_strides, trials
 from benchmarks.lib.swing_judge import pairs
-from benchmarks.lib.walkers import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
+from benchmarks.lib.walkers import DRIFTING, LYING, calibrated, causal, feet_of, swings_of
 from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stance_instants
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration
-from fes.recording import Recording, read_recording
+from fes.estimation.foot.calibration import FootCalibration
+from fes.recording import Recording
 from fes.recording.tracks import newer_samples
-from fes.simulation.truth import load_truth
 from statemachine.phases import Transition
 
 FLAT_DEG, RISE_DEG = (2.0, 3.0, 5.0, 8.0), (1.0, 2.0, 3.0, 5.0)
@@ -46,11 +45,8 @@ def measured(data: Path) -> Later:
     for foot in feet_of(data, ["footswitch_treadmill"]):
         if foot.person in LYING or foot.run in DRIFTING or foot.labels is None:
             continue
-        try:
-            calibration = calibrate(foot.track)
-        except CalibrationError:
+        if not isinstance(calibration := calibrated(foot.track), FootCalibration):
             continue
-        assert isinstance(calibration, FootCalibration)
         t_ns, acc, gyr = newer_samples(foot.track)
         events, (changes, _) = find_events(t_ns, acc, gyr, calibration), causal(foot.track, calibration)
         found = {
@@ -83,22 +79,18 @@ def against_truth(result: Analysis, foot: str, true_s: Iterable[dict[str, float]
     held = [(row, true) for true in true_s for row in rows if row["t_start_s"] < true["t_swing_s"] < row["t_end_s"]]
     for name in ENTRIES:
         for kind in ("s", "live_s"):
-            ms = np.array([1e3 * (row[f"{name}_{kind}"] - true.get(f"{name}_s", np.nan)) for row, true in held])
-            ms = ms[np.isfinite(ms)]
-            low, middle, high = np.percentile(ms, (5, 50, 95)) if len(ms) else (np.nan,) * 3
-            cells.append(f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]")
+            cells.append(spread([1e3 * (row[f"{name}_{kind}"] - true.get(f"{name}_s", np.nan)) for row, true in held]))
     return cells
 
 
 def truth_table(data: Path) -> dict[str, list[str]]:
     """By trial and foot the cells of the first table."""
     found = {}
-    for name in NAMES:
-        result, truth = analyse(read_recording(TRIALS / f"{name}.parquet")), load_truth(TRIALS / f"{name}.parquet")
+    for name, recording, truth in trials(NAMES):
+        result = analyse(recording)
         for foot in result.events:
-            found[f"{name} {foot}"] = against_truth(
-                result, foot, [asdict(s) for s in truth.strides_of(foot) if s.walking]
-            )
+            strides = [asdict(s) for s in truth.strides_of(foot) if s.walking]
+            found[f"{name} {foot}"] = against_truth(result, foot, strides)
     for each in feet_of(data, ["gaitmap_walk"]):
         assert isinstance(each.walk, PathWalk)
         result = analyse(Recording(each.run, None, {each.track.sensor: each.track}, belt_speed_mps=None))

@@ -51,7 +51,6 @@ def inclination_error_deg(up: FloatArray, true_up: FloatArray) -> FloatArray:
 
 
 def rms(values: FloatArray) -> float:
-    """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

@@ -21,8 +21,9 @@ from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
 from fes.datasets import read_file
+from fes.evaluation.agreement import Differences
 from fes.evaluation.reference.compare import from_analysis
-from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Settings, evaluate
+from fes.evaluation.reference.evaluation import BOTH, Settings, evaluate
 from fes.evaluation.reference.read import read_references
 from fes.evaluation.reference.table import Reference, ReferenceEvent
 from fes.recording import Recording, read_recording
@@ -30,16 +31,12 @@ from fes.simulation.truth import Truth, load_truth
 
 Cells = list[list[str]]
 PHASES = ("pre_swing", "swing", "loading_response", "stance")
+DEG = 57.29578
 WANG = {
-    "stride_length_common_m": ("SL, m", 1.0, 2),
-    "swing_s": ("swing, s", 1.0, 2),
-    "stance_s": ("stance, s", 1.0, 2),
-    "position_variation_m": ("PV, m", 1.0, 2),
-    "orientation_variation_rad": ("OV, deg", 57.29578, 1),
-    "deviation_m": ("MDD, m", 1.0, 2),
-    "lift_m": ("MLH, m", 1.0, 2),
-    "heel_rotation_rad": ("MLR, deg", 57.29578, 1),
-}
+    "stride_length_common_m": ("SL, m", 1.0, 2), "swing_s": ("swing, s", 1.0, 2), "stance_s": ("stance, s", 1.0, 2),
+    "position_variation_m": ("PV, m", 1.0, 2), "orientation_variation_rad": ("OV, deg", DEG, 1),
+    "deviation_m": ("MDD, m", 1.0, 2), "lift_m": ("MLH, m", 1.0, 2), "heel_rotation_rad": ("MLR, deg", DEG, 1),
+}  # fmt: skip
 
 # of their Table 2: the control and the first of five hemiparetic gaits, side by side with WANG
 PUBLISHED_WANG = """
@@ -55,8 +52,10 @@ def analysed(recording: Recording) -> Analysis:
 
 
 def negard() -> list[Figures]:
-    published = {"length": (("3.63", "1.65"), ("1.74", "3.32")), "clearance": (("0.30", "0.38"), ("0.50", "1.30"))}
-    what_of = {"length": "stride length, cm", "clearance": "clearance, cm"}
+    published = {  # mean and SD of both patients
+        "stride_length_m": ("stride length, cm", ("3.63", "1.65"), ("1.74", "3.32")),
+        "clearance_m": ("clearance, cm", ("0.30", "0.38"), ("0.50", "1.30")),
+    }
     errors, phases = [], []
     for k, name in enumerate(("negard_patient1", "negard_patient2")):
         analysis = analysed(read_recording(TRIALS / f"{name}.parquet"))
@@ -64,24 +63,17 @@ def negard() -> list[Figures]:
         settings = Settings(belt_mps=analysis.recording.belt_speed_mps, fit_lag=True)
         result = evaluate(from_analysis(analysis), reference, settings)
         rows = {row.quantity: row for row in result.rows}
-        for what, key in (("length", "stride_length_m"), ("clearance", "clearance_m")):
-            d = rows[key].differences
-            mean, sd = published[what][k]
-            limits = f"{100 * d.lower_limit.value:+.2f} … {100 * d.upper_limit.value:+.2f}"
-            ours = [f"{100 * d.bias.value:+.2f}", f"{100 * d.sd:.2f}", limits, f"{rows[key].icc.value:.2f}", str(d.n)]
-            errors.append([f"patient {k + 1}", what_of[what], mean, sd, *ours])
+        for key, (what, *theirs) in published.items():
+            row = rows[key]
+            ours = *agreement(row.differences, 100.0, 2), f"{row.icc.value:.2f}", str(row.differences.n)
+            errors.append([f"patient {k + 1}", what, *theirs[k], *ours])
         if k == 1:
             phases = phase_durations(analysis, load_truth(TRIALS / f"{name}.parquet"))
     head = ["patient", "error", "published mean", "published SD", "our mean", "our SD", "limits", "ICC", "n"]
-    first = Figures(
-        "Negård et al., Table 2: errors against the ultrasonic reference (theirs: patients; ours: simulated)",
-        head,
-        errors,
-    )
-    second = Figures(
-        "Negård et al., Table 1: phase durations, patient 2", ["", "pre-swing", "swing", "loading", "stance"], phases
-    )
-    return [second, first]
+    title = "Negård et al., Table 2: errors against the ultrasonic reference (theirs: patients; ours: simulated)"
+    named = ["", "pre-swing", "swing", "loading", "stance"]
+    first = Figures("Negård et al., Table 1: phase durations, patient 2", named, phases)
+    return [first, Figures(title, head, errors)]
 
 
 def phase_durations(analysis: Analysis, truth: Truth) -> Cells:
@@ -119,15 +111,18 @@ def kumar(folder: Path) -> list[Figures]:
     rows = list(imported.references[".events.csv"][1])
     events = tuple(sorted(ReferenceEvent(float(t), str(foot), str(what)) for foot, what, t in rows))
     result = evaluate(from_analysis(analysed(imported.recording)), Reference(("gaitmap",), events))
-    cells = [[row.about.label, str(row.differences.n), *spread(row, 1)] for row in result.rows if row.foot == BOTH]
-    missed = sum(count.missed for count in result.counts)
-    extra = sum(count.extra for count in result.counts)
+    cells = [
+        [row.about.label, str(row.differences.n), *agreement(row.differences, row.about.factor, 1)]
+        for row in result.rows
+        if row.foot == BOTH
+    ]
+    missed, extra = (sum(getattr(count, what) for count in result.counts) for what in ("missed", "extra"))
     title = f"Kumar et al. (no figures printed): IC and FO off-line, gaitmap; {missed} missed, {extra} extra"
     return [Figures(title, ["quantity, ms", "n", "mean", "SD", "limits"], cells)]
 
 
-def spread(row: AgreementRow, digits: int) -> list[str]:
-    d, factor = row.differences, row.about.factor
+def agreement(d: Differences, factor: float, digits: int) -> list[str]:
+    """Mean, SD and limits of agreement."""
     limits = " … ".join(f"{factor * limit.value:+.{digits}f}" for limit in (d.lower_limit, d.upper_limit))
     return [f"{factor * d.bias.value:+.{digits}f}", f"{factor * d.sd:.{digits}f}", limits]
 
@@ -139,17 +134,16 @@ def runs(folder: Path) -> list[Path]:
 
 
 def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
-    rows: Cells = []
-    columns: list[list[float]] = []
-    for path in runs(folder):
-        for side in shanks_of(path):
-            foot = feet[f"{path.stem} {side.sensor.removesuffix('_shank')}"]
-            columns.append([100 * abs(side.zupt - 1.0), 100 * abs(side.learnt - 1.0), 100 * foot])
-    values = np.array(columns)
-    rows.append(["published, mean of 10 healthy (columns as printed)", "13.44", "3.58", "2.33"])
-    rows.append(["the same, worked out from the printed rows", "13.44", "3.53", "2.33"])
-    rows.append([f"ours, mean of {len(values)} sides of stroke survivors", *(f"{v:.2f}" for v in values.mean(axis=0))])
-    rows.append(["ours, worst side", *(f"{v:.2f}" for v in values.max(axis=0))])
+    values = 100 * np.array([
+        [abs(side.zupt - 1.0), abs(side.learnt - 1.0), feet[f"{path.stem} {side.sensor.removesuffix('_shank')}"]]
+        for path in runs(folder) for side in shanks_of(path)
+    ])  # fmt: skip
+    rows = [
+        ["published, mean of 10 healthy (columns as printed)", "13.44", "3.58", "2.33"],
+        ["the same, worked out from the printed rows", "13.44", "3.53", "2.33"],
+        [f"ours, mean of {len(values)} sides of stroke survivors", *(f"{v:.2f}" for v in values.mean(axis=0))],
+        ["ours, worst side", *(f"{v:.2f}" for v in values.max(axis=0))],
+    ]
     head = ["error of the distance, %", "ankle, ZUPT", "ankle, non-ZUPT", "foot (theirs: ZUPT; ours: as `fes analyse`)"]
     return [Figures("Wu et al., Table I: level walking (theirs over ground; ours on a belt)", head, rows)]
 
@@ -158,22 +152,17 @@ def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
     errors: dict[str, float] = {}
     parameters: Cells = []
     for path in runs(folder):
-        imported = read_file("stroke_treadmill", path)
-        analysis = analysed(imported.recording)
-        since = 1e9 * (max(t.duration_s for t in imported.recording.tracks.values()) - LAST_S)
+        recording = read_file("stroke_treadmill", path).recording
+        analysis, since = analysed(recording), 1e9 * (max(t.duration_s for t in recording.tracks.values()) - LAST_S)
         for foot in ("left_foot", "right_foot"):
             late = [s for s in analysis.strides if s.foot == foot and s.valid and s.t_start_ns >= since]
             speed = sum(s.stride_length_m for s in late) / (1e-9 * sum(s.t_end_ns - s.t_start_ns for s in late))
-            errors[f"{path.stem} {foot.removesuffix('_foot')}"] = abs(
-                speed / (imported.recording.belt_speed_mps or 1.0) - 1
-            )
+            errors[f"{path.stem} {foot.removesuffix('_foot')}"] = abs(speed / (recording.belt_speed_mps or 1.0) - 1)
         if path.stem.endswith("FBIC"):
             for foot, found in gait_parameters(analysis).feet.items():
                 cells = [
-                    f"{factor * found[key].mean:.{digits}f} ± {factor * found[key].sd:.{digits}f}"
-                    if key in found
-                    else "–"
-                    for key, (_, factor, digits) in WANG.items()
+                    f"{unit * found[k].mean:.{digits}f} ± {unit * found[k].sd:.{digits}f}" if k in found else "–"
+                    for k, (_, unit, digits) in WANG.items()
                 ]
                 parameters.append([path.stem, foot.removesuffix("_foot"), *cells])
     percent = 100.0 * np.array(list(errors.values()))
@@ -181,21 +170,15 @@ def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
         ["published, healthy, over ground", "3.08 ± 1.77"],
         ["published, hemiparetic walks: healthy side", "1.01 ± 0.72"],
         ["published, hemiparetic walks: afflicted side", "3.55 ± 3.60"],
-        [
-            f"ours, stroke survivors on a belt, {len(percent)} feet (sides not known)",
-            f"{percent.mean():.2f} ± {percent.std(ddof=1):.2f}",
-        ],
     ]
+    ours = f"ours, stroke survivors on a belt, {len(percent)} feet (sides not known)"
+    distance.append([ours, f"{percent.mean():.2f} ± {percent.std(ddof=1):.2f}"])
     published = [[cell.strip() for cell in line.split(",")] for line in PUBLISHED_WANG.strip().splitlines()]
-    texts = [
+    title = "Wang et al., Table 2: parameters (H healthy, A afflicted side; ours: the runs FBIC)"
+    return [
         Figures("Wang et al.: absolute error of the distance, %", ["", "mean ± SD"], distance),
-        Figures(
-            "Wang et al., Table 2: parameters (H healthy, A afflicted side; ours: the runs FBIC)",
-            ["walk", "side", *(name for name, _, _ in WANG.values())],
-            published + parameters,
-        ),
-    ]
-    return texts, errors
+        Figures(title, ["walk", "side", *(name for name, _, _ in WANG.values())], published + parameters),
+    ], errors
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -209,10 +192,8 @@ def main(arguments: list[str] | None = None) -> int:
     elif (folder / "gaitmap_walk").is_dir() and runs(folder):
         of_wang, errors = wang(folder)
         command, tables = "python benchmarks/accuracy/papers.py", [*kumar(folder), *wu(folder, errors), *of_wang]
-        data = {
-            "gaitmap_walk": digest((folder / "gaitmap_walk").glob("*.csv")),
-            "stroke_treadmill": digest(runs(folder)),
-        }
+        data = {"gaitmap_walk": digest((folder / "gaitmap_walk").glob("*.csv"))}
+        data["stroke_treadmill"] = digest(runs(folder))
     else:
         return no_recordings(folder)
     result = Result(command, tables, data)

@@ -21,18 +21,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
-from benchmarks.lib.real_sets import TRIALS, data_folder, gaitmap_cases
+from benchmarks.lib.real_sets import data_folder, gaitmap_cases, trials
 from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.motion import motions, pitches, variations
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
 from fes.estimation.clearance.clearance import TOE, FootArms, FootPath, arms_of, clearances, join_paths
-from fes.recording import Recording, read_recording
+from fes.recording import Recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
 from fes.simulation.forward import VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import recording_of, truth_of
-from fes.simulation.truth import FootTruth, Truth, TruthStride, load_truth
+from fes.simulation.truth import FootTruth, Truth, TruthStride
 
 BUNDLED = ("both_feet_100hz", "both_feet_200hz", "misaligned")
 NEAR_S = 0.25
@@ -43,8 +43,6 @@ BARS = {
 
 @dataclass(frozen=True)
 class Case:
-    """One walk with its truth."""
-
     name: str
     recording: Recording
     truth: Truth
@@ -80,16 +78,13 @@ def virtual_walk(pattern: int, seed: int, rate_hz: float, side: str, seconds: fl
 
 
 def cases(*, fast: bool = False, seed: int = 0) -> Iterator[Case]:
-    """All walks."""
     for pattern in range(1, 6):
         yield virtual_walk(pattern, seed + pattern, 100.0, "right", 35.0 if fast else 80.0)
     if fast:
         return
     for pattern in range(1, 6):
         yield virtual_walk(pattern, seed + 100 + pattern, 200.0, "left", 80.0)
-    for name in BUNDLED:
-        path = TRIALS / f"{name}.parquet"
-        yield Case(name, read_recording(path), load_truth(path))
+    yield from (Case(*trial) for trial in trials(BUNDLED))
 
 
 def true_path(foot: FootTruth, stride: TruthStride, begin_s: float, end_s: float) -> FootPath:
@@ -106,7 +101,6 @@ def true_path(foot: FootTruth, stride: TruthStride, begin_s: float, end_s: float
 
 
 def compare(case: Case) -> tuple[list[Errors], Analysis]:
-    """Every foot of one walk."""
     recording, found = calibrations_of(case.recording)
     result = analyse(recording, found.calibrations)
     parameters = gait_parameters(result)
@@ -127,8 +121,7 @@ def compare(case: Case) -> tuple[list[Errors], Analysis]:
                 before = truth[k - 1] if k and truth[k - 1].walking else None
                 rows.append(_differences(own[0], true, before, case, foot, arms))
         errors.n = len(rows)
-        keys = rows[0] if rows else {}
-        errors.of = {key: _spread([row[key] for row in rows]) for key in keys}
+        errors.of = {key: _spread([row[key] for row in rows]) for key in (rows[0] if rows else {})}
         errors.of |= {key: (math.nan, math.nan) for key in BARS if key not in errors.of}
         out.append(errors)
     return out, result
@@ -156,12 +149,7 @@ def markers(folder: Path) -> list[tuple[str, str, float, float, int]]:
 
 
 def _differences(
-    v: dict[str, float],
-    true: TruthStride,
-    before: TruthStride | None,
-    case: Case,
-    foot: str,
-    arms: FootArms,
+    v: dict[str, float], true: TruthStride, before: TruthStride | None, case: Case, foot: str, arms: FootArms
 ) -> dict[str, float]:
     feet = case.truth.feet[foot]
     path = true_path(feet, true, v["t_start_s"], v["t_end_s"])

@@ -64,11 +64,8 @@ def live_errors(settings: PatientSettings, current_ma: float) -> FloatArray:
 
 def virtual(seed: int, patients: int) -> Iterator[tuple[str, list[FloatArray]]]:
     """Each condition with the angles (K, 2) of every patient."""
-    for condition, current_ma, askew in (
-        ("no stimulation", 0.0, False),
-        ("stimulated", CURRENT_MA, False),
-        ("stimulated, sensor turned", CURRENT_MA, True),
-    ):
+    for condition in ("no stimulation", "stimulated", "stimulated, sensor turned"):
+        current_ma, askew = 0.0 if condition.startswith("no") else CURRENT_MA, "turned" in condition
         found = []
         for number in range(patients):
             settings = draw_patient(seed, number, sensors=(FOOT,))

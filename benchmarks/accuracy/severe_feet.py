@@ -19,10 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.every_walker import TIMES
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder
-from benchmarks.lib.walkers import Foot, calibrate, causal, stroke_walks
-from fes.estimation.foot.calibration import CalibrationError
+from benchmarks.lib.walkers import Foot, calibrated, causal, stroke_walks
 from statemachine.phases import PhaseChange, Transition
 
 MARKS = Path(__file__).resolve().parents[2] / "tests" / "accuracy" / "severe_feet"
@@ -65,8 +64,7 @@ class Agreement:
         """Median [5 %, 95 %], share within."""
         if not self.errors_ms:
             return "–"
-        low, middle, high = np.percentile(self.errors_ms, (5, 50, 95))
-        return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}], {self.within:.0f} %"
+        return f"{spread(self.errors_ms)}, {self.within:.0f} %"
 
 
 def marks_of(rater: str) -> dict[tuple[str, str], list[Mark]]:
@@ -143,21 +141,12 @@ class Result:
 
 
 def severe_feet(data: Path) -> list[Foot]:
-    """The feet that are marked."""
     marked = marks_of(RATERS[0])
     feet = stroke_walks(data / "unseen_walkers", "unseen")
     return [foot for foot in feet if (foot.run, foot.side) in marked]
 
 
-def judge(foot: Foot, rater: str, changes: Sequence[PhaseChange]) -> Result:
-    """One foot against one rater; a refused foot has no changes."""
-    marks, name = marks_of(rater)[foot.run, foot.side], name_of(foot.run, foot.side)
-    instants = [Agreement(each.name, *errors_ms(marks, changes, each)) for each in TIMES]
-    return Result(name, rater, len(marks), single(marks, changes), instants)
-
-
 def together(results: Sequence[Result], name: str) -> Result:
-    """Several feet as one."""
     instants = [
         Agreement(same[0].instant, sum(x.marks for x in same), [ms for x in same for ms in x.errors_ms])
         for same in zip(*(result.instants for result in results), strict=True)
@@ -170,11 +159,13 @@ def evaluate(data: Path) -> list[Result]:
     """Each foot and all but the dragged one together, against each rater."""
     results = []
     for foot in severe_feet(data):
-        try:
-            changes, _ = causal(foot.track, calibrate(foot.track))
-        except CalibrationError:
-            changes = []
-        results += [judge(foot, rater, changes) for rater in RATERS]
+        calibration = calibrated(foot.track)
+        changes = causal(foot.track, calibration)[0] if calibration else []
+        for rater in RATERS:
+            marks = marks_of(rater)[foot.run, foot.side]
+            instants = [Agreement(each.name, *errors_ms(marks, changes, each)) for each in TIMES]
+            counts = len(marks), single(marks, changes)
+            results.append(Result(name_of(foot.run, foot.side), rater, *counts, instants))
     dragged = name_of(*DRAGGED)
     for rater in RATERS if results else ():
         own = [r for r in results if r.rater == rater and r.foot != dragged]

@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from benchmarks.accuracy.orientation import rms
 from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import (
     LAST_S,
@@ -111,10 +112,6 @@ def evaluate_lengths(walks: list[BorderedWalk]) -> LengthResult:
     sure, name = every[~doubt], walks[0].walk.data_set
     worst, disputed = float(np.abs(sure).max()), int(doubt.sum())
     return LengthResult(name, len(sure), float(sure.mean()), rms(sure), worst, disputed, rms(every))
-
-
-def rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def belt_ratios(feet: list[tuple[str, Track, float]]) -> FloatArray:

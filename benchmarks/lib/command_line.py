@@ -75,12 +75,14 @@ def _command(typed: Sequence[str]) -> str:
     return shlex.join(["python", "/".join(("benchmarks", *Path(typed[0]).resolve().parts[-2:])), *kept])
 
 
-def spread(values: Sequence[float]) -> str:
-    """Median [5 %, 95 %], whole numbers with their signs."""
-    if not len(values):
+def spread(values: Sequence[float], form: str = "+.0f", edges: str = "") -> str:
+    """Median [5 %, 95 %] of those that are known; a dash where there are none."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if not len(known):
         return "–"
-    low, middle, high = np.percentile(values, (5, 50, 95))
-    return f"{middle:+.0f} [{low:+.0f}, {high:+.0f}]"
+    low, middle, high = np.percentile(known, (5, 50, 95))
+    return f"{middle:{form}} [{low:{edges or form}}, {high:{edges or form}}]"
 
 
 def table_of(title: str, columns: Iterable[str], rows: Iterable[Sequence[str]]) -> Table:

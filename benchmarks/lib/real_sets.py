@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from fes.datasets import read_file
 from fes.datasets.common import even_track, two_header_csv
 from fes.recording import Recording, Track, read_recording
 from fes.signals import FloatArray, IntArray, StrideResult
-from fes.simulation.truth import HEEL_UP_M, TILT_RAD, load_truth
+from fes.simulation.truth import HEEL_UP_M, TILT_RAD, Truth, load_truth
 
 BoolArray = npt.NDArray[np.bool_]
 TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
@@ -36,6 +36,12 @@ GAITMAP_HZ, MARKERS_HZ = 204.8, 100.0
 def data_folder() -> Path:
     """Where the recordings are: $FES_DATA, else ../shared/data beside the project."""
     return Path(os.environ.get("FES_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
+
+
+def trials(names: Iterable[str] = (*NAMES, "not_walking")) -> Iterator[tuple[str, Recording, Truth]]:
+    """The bundled ones with their truth."""
+    for name in names:
+        yield name, read_recording(TRIALS / f"{name}.parquet"), load_truth(TRIALS / f"{name}.parquet")
 
 
 # --- stroke_treadmill -------------------------------------------------------------------------------------------------
@@ -407,8 +413,7 @@ def _steps(speed_mps: FloatArray, event: str, t_s: float) -> bool:
 def bundled_cases() -> list[Case]:
     """Every foot of the bundled walks."""
     cases = []
-    for name in NAMES:
-        recording, truth = read_recording(TRIALS / f"{name}.parquet"), load_truth(TRIALS / f"{name}.parquet")
+    for name, recording, truth in trials(NAMES):
         for foot, track in recording.tracks.items():
             strides = truth.strides_of(foot)
             contacts = np.array([s.t_loading_response_s for s in strides])

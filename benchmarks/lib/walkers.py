@@ -11,21 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.lib.real_sets import (
-    Walk,
-    gaitmap_cases,
-    gaitmap_walk,
-    load_run,
-    pyshoe_vicon,
-    ruler_walks,
-    strike_deg,
-)
+from benchmarks.lib.real_sets import Walk, gaitmap_cases, gaitmap_walk, load_run, pyshoe_vicon, ruler_walks, strike_deg
 from benchmarks.lib.swing_judge import Labelled, labelled
 from fes.analysis.swings import Swings, find_swings
 from fes.calibration.recording import calibrate_shank_track, calibrate_track
 from fes.config import FootGeometry, Ground
 from fes.datasets import read_file
-from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.shank.tracker import ShankTracker
@@ -143,6 +135,14 @@ def of_all(work: Callable[[Foot], Any], feet: Iterable[Foot], jobs: int) -> list
 def calibrate(track: Track) -> Calibration:
     """As ``fes calibrate`` does."""
     return calibrate_shank_track(track) if track.sensor.endswith("shank") else calibrate_track(track)
+
+
+def calibrated(track: Track) -> Calibration | None:
+    """The same; None where the track is refused."""
+    try:
+        return calibrate(track)
+    except CalibrationError:
+        return None
 
 
 def outcomes_of(

@@ -22,7 +22,7 @@ from rich.table import Table
 from benchmarks.lib.channels import channel
 from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
-from benchmarks.lib.walkers import calibrate
+from benchmarks.lib.walkers import calibrated
 from benchmarks.loop.predicted_onset import Walked, walks
 from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_port import Capture2GoRadio
@@ -34,7 +34,6 @@ from fes.config import ImuDevice, Session
 from fes.control.clock_sync import SensorClock
 from fes.control.controller import Controller
 from fes.control.runner import TICK_NS, Runner
-from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration
 from fes.gate import gate_of
 from fes.live.sensors import SensorStream
@@ -162,12 +161,10 @@ class Walk:
     latches: list[str] = field(default_factory=list)
 
     def send(self, command: StimCommand) -> WireFrame:
-        """Keep it."""
         self.commands.append(command)
         return WireFrame(command.t_ns, 0, b"")
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """Nothing."""
         return []
 
     def event(self, event: Event) -> None:
@@ -367,9 +364,7 @@ def main(arguments: list[str] | None = None) -> int:
     figures = {(setting.name, onset): Figures() for setting, onset in arms}
     silent: list[tuple[int, int]] = []
     for walk in chosen(options.data):
-        try:
-            calibration = calibrate(walk.track)
-        except CalibrationError:
+        if (calibration := calibrated(walk.track)) is None:
             continue
         sensor, signal = walk.track.sensor, even_signal(walk.track, RATE_HZ)
         cables = {

@@ -19,23 +19,20 @@ import numpy as np
 
 from benchmarks.lib.channels import channel
 from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
-from benchmarks.lib.real_sets import NAMES, TRIALS, PathWalk, data_folder, marker_strides
-from benchmarks.lib.walkers import DRIFTING, LYING, calibrate, feet_of
+from benchmarks.lib.real_sets import PathWalk, data_folder, marker_strides, trials
+from benchmarks.lib.walkers import DRIFTING, LYING, calibrated, feet_of
 from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.control.controller import Controller, towards_heel_rise
-from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, tracker_of
 from fes.gate.gate import gate_of
-from fes.recording import Track, read_recording
+from fes.recording import Track
 from fes.recording.tracks import newer_samples
 from fes.signals import NS_PER_S, ImuSample, OperatorAct, OperatorAction, StrideResult
-from fes.simulation.truth import load_truth
 from fes.stimulation import onset
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import PhaseChange, Transition
 
-BUNDLED = (*NAMES, "not_walking")
 SETS = ("gaitmap_walk", "footswitch_treadmill", "stroke_treadmill", "stroke_walks", "ruler_walks")
 LEADS_MS = (20, 30, 40, 50, 60, 80)
 MOST_FALSE = 0.01
@@ -83,8 +80,7 @@ class Figures:
 
 def walks(data: Path, wanted: Iterable[str]) -> Iterator[Walked]:
     """The bundled trials, then the sets."""
-    for name in BUNDLED:
-        recording, truth = read_recording(TRIALS / f"{name}.parquet"), load_truth(TRIALS / f"{name}.parquet")
+    for name, recording, truth in trials():
         for foot, track in recording.tracks.items():
             rises = [round(1e9 * s.t_pre_swing_s) for s in truth.strides_of(foot) if s.walking]
             yield Walked("bundled trials", name, track, rises)
@@ -94,11 +90,9 @@ def walks(data: Path, wanted: Iterable[str]) -> Iterator[Walked]:
             strides = marker_strides(each.walk, np.sort(each.ic_s), np.sort(each.fo_s))
             rises = [round(1e9 * s["t_pre_swing_s"]) for s in strides if "t_pre_swing_s" in s]
         if each.labels is not None and each.person not in LYING and each.run not in DRIFTING:
-            starts = find_swings(each.track.t_ns, each.track.acc_mps2, each.track.gyr_radps)
-            whole = starts.sure.tolist()
-            for begin, end in pairwise(whole):
-                label = each.labels.times(begin, end).get(Transition.T1)
-                rises += [] if label is None else [label]
+            swings = find_swings(each.track.t_ns, each.track.acc_mps2, each.track.gyr_radps)
+            labels = (each.labels.times(*stride).get(Transition.T1) for stride in pairwise(swings.sure.tolist()))
+            rises += [label for label in labels if label is not None]
         yield Walked(each.data_set, each.person, each.track, rises)
 
 
@@ -231,7 +225,6 @@ def chosen(counts: dict[tuple[str, str], dict[int, tuple[int, int]]], without: s
 
 
 def rows(groups: dict[str, Figures]) -> list[list[str]]:
-    """The first table's."""
     found = []
     for name, f in groups.items():
         early = len(f.before) + f.false
@@ -258,9 +251,7 @@ def main(arguments: list[str] | None = None) -> int:
     groups: dict[str, Figures] = {}
     counts: dict[tuple[str, str], dict[int, tuple[int, int]]] = {}
     for walk in walks(options.data, options.only):
-        try:
-            calibration = calibrate(walk.track)
-        except CalibrationError:
+        if (calibration := calibrated(walk.track)) is None:
             continue
         judge(walk, calibration, groups.setdefault(walk.group, Figures()))
         own = counts.setdefault((walk.group, walk.person), dict.fromkeys(LEADS_MS, (0, 0)))

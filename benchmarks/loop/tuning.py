@@ -251,7 +251,6 @@ def person(seed: int, who: Callable[[Any], Any], *, second: bool) -> Person:
 
 
 def one_walk(one: Person, trial: Trial, arm: str, set_ma: float) -> Result:
-    """One arm of one person."""
     settings, made = one.settings, one.made
     geometry = made(settings).geometry["right_foot"]
     if arm == "two":
@@ -314,7 +313,6 @@ class Kept:
                 self.results[row["second"], row["seed"], row["trial"], row["arm"]] = Result(**row["result"])
 
     def has(self, second: bool, seed: int, trial: str, arms: Sequence[str]) -> bool:
-        """Whether all of these are there."""
         return all((second, seed, trial, arm) in self.results for arm in arms)
 
     def left(self, second: bool, seed: int, trials: Sequence[str], arms: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -360,9 +358,7 @@ def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
             f"{fmean(one.push_off_lost for one in mine if not one.refused):.1%}",
             f"{fmean(one.heel_first for one in mine):.0%}",
             str(sum(one.put_back for one in mine)),
-            str(sum(one.stopped for one in mine)),
-            str(sum(bool(one.latched) for one in mine)),
-            str(sum(bool(one.refused) for one in mine)),
+            *(str(sum(bool(getattr(one, what)) for one in mine)) for what in ("stopped", "latched", "refused")),
             f"{fmean(one.rolled for one in mine):.1%}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
@@ -420,7 +416,6 @@ def main() -> None:
     parser.add_argument("--trials", nargs="+", default=["day"], choices=[*TRIALS, "all"])
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS)
     parser.add_argument("--processes", type=int, default=1, help="at once")
-    parser.add_argument("--each", action="store_true", help="a line a person")
     parser.add_argument("--keep", type=Path, help="file of results, a line a person and trial")
     parser.add_argument("--kept", action="store_true", help="nobody walks: the tables of who stands in the file")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
@@ -447,10 +442,6 @@ def main() -> None:
             try:
                 for seed, one in walks.items():
                     kept.add(second, seed, one.result())
-                    if asked.each:
-                        each = {name: {a: f"{r.settled:.2f} {r.charge_uc:.0f} µC" for a, r in arms_of.items()}
-                                for name, arms_of in one.result().items()}  # fmt: skip
-                        print(seed, each, flush=True)
             except (KeyboardInterrupt, BrokenProcessPool):
                 print("interrupted: the tables have who has walked", flush=True)
             walked = {name: [seed for seed in seeds if kept.has(second, seed, name, arms)] for name in trials}

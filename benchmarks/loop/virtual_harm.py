@@ -1,7 +1,4 @@
-"""What harms the virtual patient: bursts of different strength and onset, and what is counted of them.
-
-python benchmarks/loop/virtual_harm.py [--json FILE]
-"""
+"""What harms the virtual patient: bursts of different strength and onset, and what is counted of them."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ import math
 from collections.abc import Iterator
 from statistics import median
 
-from benchmarks.lib.command_line import parser_of
-from benchmarks.lib.figures import Figures, Result
+from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride, harm_of, settings_for
 
@@ -45,7 +41,6 @@ def strides_of(severity: str, current_ma: float, onset_s: float) -> list[Virtual
 
 
 def rows() -> Iterator[list[str]]:
-    """The table's."""
     for severity in ("moderate", "severe"):
         for current_ma, onset_s in BURSTS:
             strides = strides_of(severity, current_ma, onset_s)
@@ -58,19 +53,14 @@ def rows() -> Iterator[list[str]]:
                 f"{harm.push_off_lost:.0%}",
                 f"{harm.early_bursts} of {harm.strides}",
                 f"{math.degrees(median(one.inversion_at_contact_rad for one in strides)):.1f}°",
-                f"{harm.inverted_contacts}",
-                f"{harm.spasms}",
+                *map(str, (harm.inverted_contacts, harm.spasms)),
                 f"{harm.co_contraction_nms:.2f} N·m·s",
                 f"{harm.charge_uc:.0f} µC",
             ]
 
 
 def main() -> None:
-    given = parser_of(__doc__).parse_args()
-    result = Result("python benchmarks/loop/virtual_harm.py", [Figures("", HEAD, list(rows()))])
-    print(result.markdown())
-    if given.json is not None:
-        result.keep(given.json)
+    publish(console_of(200), [table_of("", HEAD, rows())], parser_of(__doc__).parse_args())
 
 
 if __name__ == "__main__":

@@ -46,14 +46,9 @@ class Asked:
 
 
 def case_of(
-    name: str,
-    track: Track,
-    calibration: FootCalibration,
-    borders_ns: IntArray,
-    tasks: tuple[str, ...],
-    *,
-    own_axes: bool = False,
-) -> Case:
+    name: str, track: Track, calibration: FootCalibration, borders_ns: IntArray, tasks: tuple[str, ...],
+    *, own_axes: bool = False,
+) -> Case:  # fmt: skip
     """Turned into x forward, y left, z up, the gyroscope's bias taken off; borders (M, 2) in ns.
 
     ``own_axes``: the sensor's axes are near enough to that, and the peers' templates were made with them.
@@ -61,15 +56,8 @@ def case_of(
     forward, up = calibration.forward(), np.array(calibration.up)
     axes = np.eye(3) if own_axes else np.stack((forward, np.cross(up, forward), up))
     borders = np.searchsorted(track.t_ns, borders_ns.reshape(-1, 2)).clip(0, len(track.t_ns) - 1)
-    return Case(
-        name=name,
-        side="left" if track.sensor.startswith("left") else "right",
-        rate_hz=track.rate_hz,
-        acc_mps2=track.acc_mps2 @ axes.T,
-        gyr_radps=(track.gyr_radps - np.array(calibration.gyr_bias_radps)) @ axes.T,
-        borders=borders,
-        tasks=tasks,
-    )
+    side, gyr = track.sensor.split("_")[0], track.gyr_radps - np.array(calibration.gyr_bias_radps)
+    return Case(name, side, track.rate_hz, track.acc_mps2 @ axes.T, gyr @ axes.T, borders, tasks)
 
 
 def bordered(walks: list[BorderedWalk], tasks: tuple[str, ...]) -> list[Asked]:
@@ -105,10 +93,7 @@ def _countable(walk: Walk, ends_ns: IntArray) -> BoolArray:
 
 def between(track: Track, begin_ns: int, end_ns: int) -> StrideResult:
     """A stride of which nothing but its ends is known, to ask a reference about."""
-    unknown = float("nan")
-    return StrideResult(
-        track.sensor, 0, begin_ns, end_ns, unknown, unknown, unknown, unknown, unknown, None, None, None, None
-    )
+    return StrideResult(track.sensor, 0, begin_ns, end_ns, *[float("nan")] * 5, *[None] * 4)
 
 
 def at_our_ends(one: Asked) -> Asked:
@@ -151,12 +136,8 @@ def stroke_asked(folder: Path) -> list[Asked]:
     asked = []
     for run, track, belt_mps in real_sets.stroke_feet(folder):
         calibration = calibrate_track(track)
-        late = [
-            s
-            for s in strides_of(track, calibration, "maximum_likelihood")
-            if s.t_start_ns >= track.t_ns[-1] - LAST_S * 1e9
-        ]
-        ends = np.array([(s.t_start_ns, s.t_end_ns) for s in late])
+        strides, since_ns = strides_of(track, calibration, "maximum_likelihood"), track.t_ns[-1] - LAST_S * 1e9
+        ends = np.array([(s.t_start_ns, s.t_end_ns) for s in strides if s.t_start_ns >= since_ns])
         first = int(np.searchsorted(track.t_ns, track.t_ns[-1] - round(1e9 * (LAST_S + WARM_UP_S))))
         part = track.part(slice(first, None))
         case = case_of(f"stroke-{run}-{track.sensor}", part, calibration, ends, ("borders", "detection"))
@@ -176,26 +157,13 @@ def orientation_asked(folder: Path) -> list[Asked]:
 
 
 def all_asked(folder: Path) -> list[Asked]:
-    """Everything that the folder holds."""
     walks = [
         *bordered(pyshoe(folder), ("borders", "detection", "rest")),
         *bordered(ruler(folder), ("borders", "detection")),
         *gaitmap_asked(folder),
     ]
-    asked = [
-        *walks,
-        *(at_our_ends(one) for one in walks),
-        *stroke_asked(folder),
-        *orientation_asked(folder),
-    ]
-    loop = xio(folder)
-    if loop is not None:
+    asked = [*walks, *map(at_our_ends, walks), *stroke_asked(folder), *orientation_asked(folder)]
+    if loop := xio(folder):
         none = np.zeros((0, 2), dtype=np.int64)
         asked.append(Asked(case_of("xio_walk", loop, calibrate_track(loop), none, ("closure",)), "xio_walk"))
     return asked
-
-
-def moving_truth(one: Asked, limit_mps: float) -> tuple[BoolArray, BoolArray]:
-    """Per sample whether the foot is at rest by the optical system, and whether that is known."""
-    known = np.isfinite(one.speed_mps)
-    return one.speed_mps < limit_mps, known

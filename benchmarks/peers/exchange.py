@@ -16,6 +16,7 @@ import numpy as np
 
 G_MPS2 = 9.80665
 Arrays = dict[str, Any]
+PLAIN = ("name", "side", "rate_hz", "tasks")  # of a case; the rest are arrays
 
 
 @dataclass(frozen=True)
@@ -31,30 +32,13 @@ class Case:
     tasks: tuple[str, ...]
 
     def write(self, folder: Path) -> None:
-        """As a file in ``folder``."""
-        np.savez(
-            folder / f"{self.name}.case.npz",
-            side=self.side,
-            rate_hz=self.rate_hz,
-            acc=self.acc_mps2,
-            gyr=self.gyr_radps,
-            borders=self.borders,
-            tasks=np.array(self.tasks),
-        )
+        np.savez(folder / f"{self.name}.case.npz", **vars(self))
 
     @staticmethod
     def read(path: Path) -> Case:
-        """Back from its file."""
-        data = np.load(path)
-        return Case(
-            path.name.removesuffix(".case.npz"),
-            str(data["side"]),
-            float(data["rate_hz"]),
-            data["acc"],
-            data["gyr"],
-            data["borders"],
-            tuple(str(task) for task in data["tasks"]),
-        )
+        with np.load(path) as data:
+            given = {name: value.tolist() if name in PLAIN else value for name, value in data.items()}
+        return Case(**given | {"tasks": tuple(given["tasks"])})
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from benchmarks.accuracy.events import OFFLINE_S, compare
 from benchmarks.accuracy.orientation import upward
 from benchmarks.accuracy.zero_velocity import LIMIT_MPS, scores
 from benchmarks.lib.real_sets import STRAIGHT_RAD
-from benchmarks.peers.cases import OUR_ENDS, Asked, between, moving_truth
+from benchmarks.peers.cases import OUR_ENDS, Asked, between
 from fes.signals import FloatArray
 
 Found = dict[str, np.ndarray]
@@ -131,8 +131,8 @@ def _events(data_set: str, method: str, known: str, pairs: Pairs) -> Iterable[Ro
 def _rest(data_set: str, method: str, known: str, pairs: Pairs) -> Iterable[Row]:
     found_scores = []
     for one, found in pairs:
-        rest, valid = moving_truth(one, LIMIT_MPS)
-        found_scores.append(scores(rest[valid], found["rest"].astype(bool)[valid]))
+        seen = np.isfinite(one.speed_mps)
+        found_scores.append(scores(one.speed_mps[seen] < LIMIT_MPS, found["rest"].astype(bool)[seen]))
     f1, _, recall = np.mean(found_scores, axis=0).tolist()
     yield f1_row(data_set, method, known, len(pairs), f1, recall, min(score[0] for score in found_scores))
 

@@ -49,7 +49,6 @@ def settled(orientation: Callable[[Case], np.ndarray]) -> Callable[[Case], np.nd
 
 
 def by_vqf(case: Case) -> np.ndarray:
-    """Forward filter."""
     found = vqf.VQF(1.0 / case.rate_hz).updateBatch(_c(case.gyr_radps), _c(case.acc_mps2))
     return np.asarray(found["quat6D"])
 

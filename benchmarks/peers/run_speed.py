@@ -39,7 +39,6 @@ def least_us(work: Callable[[], object], samples: int, repeats: int = REPEATS) -
 
 
 def stepped(update: Callable[[np.ndarray, np.ndarray], object], case: Case) -> float:
-    """One call a sample."""
     pairs = list(zip(case.gyr_radps[:STEPPED_SAMPLES], case.acc_mps2[:STEPPED_SAMPLES], strict=True))
 
     def work() -> None:

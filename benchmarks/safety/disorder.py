@@ -26,7 +26,7 @@ from rich.table import Table
 from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.swing_judge import in_order
-from benchmarks.lib.walkers import SETS, Foot, calibrate, feet_of, swings_of
+from benchmarks.lib.walkers import SETS, Foot, calibrate, calibrated, feet_of, swings_of
 from benchmarks.loop.closed_loop_walk import walk
 from benchmarks.loop.tuning_cohort import channel_of
 from fes.analysis.swings import Swings, find_swings
@@ -263,10 +263,8 @@ def at_another_speed(settings: PatientSettings, number: int) -> Iterator[Result]
     patient.set_speed(min(settings.speed_mps * (FASTER if number % 2 else SLOWER), FASTEST_MPS))
     samples += patient.advance(round((2.0 + 2.0 * WALK_S) * NS_PER_S))
     for sensor, track in recording_of(patient, samples, "", "").tracks.items():
-        try:
-            calibration = calibrate(track)
-        except CalibrationError:
-            continue  # told of above
+        if (calibration := calibrated(track)) is None:  # told of above
+            continue
         swings = find_swings(track.t_ns, track.acc_mps2, track.gyr_radps)
         yield replace(watched(track, calibration).sound("virtual", f"{number} {sensor}", swings), case=CHANGED)
 

@@ -23,12 +23,11 @@ import numpy as np
 from benchmarks.lib.channels import channel
 from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import TRIALS, data_folder, stairs, xio
-from benchmarks.lib.walkers import LYING, SETS, calibrate, feet_of, outcomes_of
+from benchmarks.lib.walkers import LYING, SETS, calibrated, feet_of, outcomes_of
 from benchmarks.loop.tuning_cohort import drawn
 from fes.analysis.swings import find_swings
 from fes.config import Channel, Stimulation
 from fes.datasets.common import even_track
-from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration
 from fes.gate.movement import BurstWatch, Movement
 from fes.gate.plausibility import Plausibility
@@ -276,8 +275,6 @@ def told_after_s(track: Track, at: int, rng: np.random.Generator, up: Vector3) -
 
 @dataclass
 class Counts:
-    """Of one set."""
-
     sensors: int = 0
     hours: float = 0.0
     accused: int = 0
@@ -314,9 +311,7 @@ def main(arguments: list[str] | None = None) -> int:
             counts.hours += part.duration_s / 3600.0
         said += [f"{name}: {each}" for each in sorted(words)]
         counts.sensors, counts.accused = counts.sensors + 1, counts.accused + bool(words)
-        try:
-            calibration = calibrate(track)
-        except CalibrationError:
+        if (calibration := calibrated(track)) is None:
             continue
         found = walked(track, calibration)
         counts.bursts, counts.refused = counts.bursts + len(found.bursts), counts.refused + refused(track, found.bursts)

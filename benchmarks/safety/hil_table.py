@@ -7,23 +7,19 @@ time; campaigns on the same transport are taken together. With ``--json FILE`` i
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.lib.command_line import parser_of
 from benchmarks.lib.figures import Figures, Result, machine
 from fes.hil.scenarios import SCENARIOS
 
 ORDER: Final = {scenario.name: number for number, scenario in enumerate(SCENARIOS)}
 KEYS: Final = ("transport", "started", "seconds", "baseline", "rows")
-
-
-class Unusable(ValueError):
-    """A file that is no campaign's result; the message names it."""
 
 
 @dataclass(slots=True)
@@ -38,7 +34,6 @@ class Cell:
     wrong_ms: float = 0.0
 
     def add(self, row: dict[str, Any]) -> None:
-        """Another campaign's row."""
         deadline_ms = row["deadline_ms"]
         self.away += len(row.get("away", ()))
         for attempt in row["attempts"]:
@@ -60,27 +55,18 @@ class Cell:
         return text if self.right == self.made else f"**{text}**"
 
 
-@dataclass(slots=True)
-class Line:
-    """One fault."""
-
-    fault: str
-    deadline: str
-    cells: dict[str, Cell] = field(default_factory=dict)
-
-
 def merged(campaigns: Sequence[dict[str, Any]]) -> Result:
     """The table, and what each campaign was."""
     transports = list(dict.fromkeys(campaign["transport"] for campaign in campaigns))
-    lines: dict[str, Line] = {}
+    lines: dict[str, tuple[list[str], dict[str, Cell]]] = {}  # the fault with its deadline, and its cells
     for campaign in campaigns:
         for row in campaign["rows"]:
             deadline = "–" if row["deadline_ms"] is None else f"{row['deadline_ms']:g} ms"
-            line = lines.setdefault(row["name"], Line(row["fault"], deadline))
-            line.cells.setdefault(campaign["transport"], Cell()).add(row)
+            _, cells = lines.setdefault(row["name"], ([row["fault"].replace("|", "/"), deadline], {}))
+            cells.setdefault(campaign["transport"], Cell()).add(row)
     rows = [
-        [line.fault.replace("|", "/"), line.deadline, *(str(line.cells.get(each, "")) for each in transports)]
-        for _, line in sorted(lines.items(), key=lambda named: ORDER.get(named[0], len(ORDER)))
+        [*fault, *(str(cells.get(each, "")) for each in transports)]
+        for _, (fault, cells) in sorted(lines.items(), key=lambda named: ORDER.get(named[0], len(ORDER)))
     ]
     table = Figures("", ["fault", "off within", *transports], rows)
     return Result("make hil", [table], machine=machine(), notes=[_campaign(campaign) for campaign in campaigns])
@@ -103,28 +89,26 @@ def read(path: Path) -> dict[str, Any]:
     """A campaign's ``hil.json``.
 
     Raises:
-        Unusable: it cannot be read, or is none.
+        ValueError: it cannot be read, or is none; the message names it.
     """
     try:
         data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         missing = [key for key in KEYS if key not in data]
     except (OSError, ValueError, TypeError) as error:
-        raise Unusable(f"{path}: cannot be read: {error}. Give hil.json files that `fes hil` wrote.") from error
+        raise ValueError(f"{path}: cannot be read: {error}. Give hil.json files that `fes hil` wrote.") from error
     if missing:
-        raise Unusable(f"{path}: is no campaign's result: {', '.join(missing)} missing. Give hil.json files.")
+        raise ValueError(f"{path}: is no campaign's result: {', '.join(missing)} missing. Give hil.json files.")
     return data
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description="One table of several fault campaigns.")
+    parser = parser_of(__doc__)
     parser.add_argument("results", nargs="+", type=Path, help="hil.json files, one per campaign")
-    parser.add_argument("--json", type=Path, help="keep it here, for `make figures`")
     options = parser.parse_args(arguments)
     try:
         result = merged([read(path) for path in options.results])
-    except Unusable as error:
-        print(f"hil_table: {error}", file=sys.stderr)
-        return 2
+    except ValueError as error:
+        parser.error(str(error))
     print(result.markdown())
     if options.json is not None:
         result.keep(options.json)

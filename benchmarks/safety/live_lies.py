@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder
-from benchmarks.lib.walkers import calibrate
+from benchmarks.lib.walkers import calibrated
 from benchmarks.loop.by_radio import EARLY_NS, MS, RATE_HZ, Walk, by_cable, overlap_ns, session_of, stances
 from benchmarks.safety.witness import (
     Change,
@@ -37,7 +37,6 @@ from benchmarks.safety.witness import (
 from drivers.simulated.imu.device import even_signal
 from fes.control.controller import Controller
 from fes.control.runner import Runner
-from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration
 from fes.gate import gate_of
 from fes.recording import Track
@@ -146,9 +145,7 @@ def length_m(strides: Sequence[StrideResult], from_ns: int) -> float:
 def rows_of(walker: Walker, lies: Sequence[str]) -> list[Row]:
     """One foot under every lie; none where the sound walk cannot be calibrated or is latched."""
     track = walker.track
-    try:
-        calibration = calibrate(track)
-    except CalibrationError:
+    if (calibration := calibrated(track)) is None:
         return []
     sound = session(track, calibration)
     events = list(by_cable(track.sensor, even_signal(track, RATE_HZ)))
@@ -158,11 +155,8 @@ def rows_of(walker: Walker, lies: Sequence[str]) -> list[Row]:
         return []
     rows = []
     for lie in lies:
-        if lie == SOUND:
-            lied, changed = sound, track
-        else:
-            changed = from_half(LIES[lie])(track)
-            lied = session(changed, calibration)
+        changed = from_half(LIES[lie])(track)
+        lied = sound if lie == SOUND else session(changed, calibration)
         begun = [(max(begin, half_ns), end) for begin, end in lied.spans() if end > half_ns]
         stance_ms = sum(overlap_ns(span, stood, EARLY_NS) for span in begun) / MS
         ends = [each.t_end_ns for each in sound.strides if each.t_end_ns > half_ns]
@@ -176,7 +170,6 @@ def rows_of(walker: Walker, lies: Sequence[str]) -> list[Row]:
 
 
 def table_of_half(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> Table:
-    """Of one half of the persons."""
     cells = []
     for lie in lies:
         own = [row for row in rows if row.lie == lie and row.known == known]
@@ -187,14 +180,12 @@ def table_of_half(rows: Sequence[Row], lies: Sequence[str], *, known: bool) -> T
         heard = [row.heard for row in own if row.heard is not None]
         untold = sum(row.latched is row.stopped is row.heard is None for row in own)
         middle, most = np.percentile([row.stance_ms for row in own], (50, 95))
-        lengths = [row.length for row in own if np.isfinite(row.length)]
-        low, half, high = np.percentile(lengths, (5, 50, 95)) if lengths else (np.nan,) * 3
         cells.append([
             lie, str(len(own)), *(str(sum(n <= limit for n in latched)) for limit in LATCHED),
             str(sum(n > LATCHED[-1] for n in latched)), *(str(sum(n <= limit for n in stopped)) for limit in STOPPED),
             *(str(sum(n <= limit for n in heard)) for limit in HEARD), str(untold),
             f"{middle:.0f}, {most:.0f}, {max(row.stance_ms for row in own):.0f}",
-            str(sum(row.stance_ms > MUCH_MS for row in own)), f"{half:.2f} [{low:.2f}, {high:.2f}]",
+            str(sum(row.stance_ms > MUCH_MS for row in own)), spread([row.length for row in own], ".2f"),
         ])  # fmt: skip
     columns = (
         "lie", "feet", *(f"latched within {n}" for n in LATCHED), "later", *(f"stopped within {n}" for n in STOPPED),

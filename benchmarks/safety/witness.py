@@ -16,7 +16,7 @@ import numpy as np
 from rich.table import Table
 from scipy.stats import chi2
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder, pyshoe_vicon, ruler_walks
 from benchmarks.lib.walkers import Foot, footswitch_treadmill, gaitmap, measured_walks, stroke_treadmill, stroke_walks
 from fes.analysis.pipeline import analyse
@@ -47,26 +47,24 @@ def gains(acc: float, gyr: float) -> Change:
     return lambda track: replace(track, acc_mps2=acc * track.acc_mps2, gyr_radps=gyr * track.gyr_radps)
 
 
-def main_axis(track: Track) -> int:
-    return int(np.argmax(track.gyr_radps.std(axis=0)))
+def of_an_axis(nth: int, work: Callable[[FloatArray], FloatArray]) -> Change:
+    """Of the gyroscope's, counted from the main one."""
+
+    def change(track: Track) -> Track:
+        gyr = track.gyr_radps.copy()
+        axis = (int(np.argmax(gyr.std(axis=0))) + nth) % 3
+        gyr[:, axis] = work(gyr[:, axis])
+        return replace(track, gyr_radps=gyr)
+
+    return change
 
 
 def biased(degps: float) -> Change:
-    def change(track: Track) -> Track:
-        gyr = track.gyr_radps.copy()
-        gyr[:, main_axis(track)] += np.radians(degps)
-        return replace(track, gyr_radps=gyr)
-
-    return change
+    return of_an_axis(0, lambda rates: rates + np.radians(degps))
 
 
 def flipped(nth: int) -> Change:
-    def change(track: Track) -> Track:
-        gyr = track.gyr_radps.copy()
-        gyr[:, (main_axis(track) + nth) % 3] *= -1.0
-        return replace(track, gyr_radps=gyr)
-
-    return change
+    return of_an_axis(nth, np.negative)
 
 
 def mirrored(track: Track) -> Track:
@@ -219,14 +217,6 @@ def _apart(walker: Walker, told: Testimony) -> int | None:
 # --- tables ----------------------------------------------------------------------------------------------------
 
 
-def _spread(values: Sequence[float]) -> str:
-    finite = np.array([value for value in values if value == value])
-    if not finite.size:
-        return "–"
-    low, middle, high = np.percentile(finite, (5, 50, 95))
-    return f"{middle:.3f} [{low:.3f}, {high:.3f}]"
-
-
 def of_sound(rows: Sequence[Row]) -> Table:
     cells = []
     for half, known in (("known", True), ("unseen", False)):
@@ -255,9 +245,8 @@ def of_lies(rows: Sequence[Row], names: Sequence[str]) -> Iterator[Table]:
             green = sum(row.outcome == "not told" for row in grave)
             mended = [row.mended for row in own if row.outcome == "told"]
             moved = f"{len(grave)}: {right}, {len(grave) - right - green}, {green}"
-            cells.append(
-                (name, str(len(own)), *map(str, counts), _spread([row.as_read for row in own]), _spread(mended), moved)
-            )
+            read, right_m = (spread(each, ".3f") for each in ([row.as_read for row in own], mended))
+            cells.append((name, str(len(own)), *map(str, counts), read, right_m, moved))
         columns = (
             "lie", "feet", *OUTCOMES, "length as read", "length corrected",
             "moved by > 5 %: told, refused or marked, neither",

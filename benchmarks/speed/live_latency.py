@@ -136,7 +136,6 @@ def environment(python: str) -> tuple[float, bool]:
 
 
 def rows_of(group: str, record: SessionRecord, hogs: int, rate_hz: float, compiled: bool) -> list[Row]:
-    """What was measured, each with what is required."""
     mean_us, p99_us, p999_us = (MEAN_US, P99_US, P999_US) if compiled else (PLAIN_MEAN_US, PLAIN_P99_US, PLAIN_P999_US)
     rows, us = [], np.asarray(record.latency_ns) * 1e-3
     for sensor, samples in record.samples.items():

@@ -51,7 +51,6 @@ class LiveStep:
 
 
 def live_step(recording: Recording) -> LiveStep:
-    """Measure it on a recording of two feet."""
     recording, found = calibrations_of(recording)
     session = session_for(recording, load_session(ROOT / "sim_inputs" / "session.toml"))
     up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
@@ -73,7 +72,6 @@ def live_step(recording: Recording) -> LiveStep:
 
 
 def live_rows(named: dict[str, Callable[[], Recording]]) -> list[Row]:
-    """The rows of a table, for each recording."""
     rows = []
     for name, recording in named.items():
         found = live_step(recording())
