@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
 from statemachine.guards import Features, Thresholds
 
 Guard = Callable[[Features, Thresholds], bool]
@@ -65,9 +63,11 @@ class Term(_Joined):
     holds: Any
 
     def __bool__(self) -> bool:  # ``max`` and ``min`` of two thresholds compare them
-        if np.all(self.holds) != np.any(self.holds):
+        if not hasattr(self.holds, "all"):
+            return bool(self.holds)
+        if self.holds.all() != self.holds.any():
             raise Undecided
-        return bool(np.all(self.holds))
+        return bool(self.holds.all())
 
     def __str__(self) -> str:
         return self._said(self.sign)
