@@ -173,8 +173,9 @@ class OrderJudge:
             late = usual_ns > 0 and swing_ns > LONGER * swing_usual_ns * slower + LATER_NS
             self._late = self._late + 1 if late else 0
             swing_ns = min(swing_ns, swing_usual_ns + max(GROWS_NS, int(swing_usual_ns * (slower - 1.0))))
-        self._swings_ns.append(swing_ns)
-        if not self.in_order:
+        if self.in_order:  # what ends late in disorder is not to become usual
+            self._swings_ns.append(swing_ns)
+        else:
             fault = fault or (NO_END if self._late else NO_CLOSE if self._closing.far else "")
         self._faults.append(fault)
         poor = Counter(filter(None, self._faults))
@@ -194,5 +195,5 @@ class OrderJudge:
         """For people, after the foot's name."""
         if self.in_order:
             return "is in order"
-        remedy = REMEDY + NEW_WALK * self.reason.endswith(NO_CLOSE)
+        remedy = REMEDY + NEW_WALK * self.reason.endswith((NO_CLOSE, NO_END))
         return f"is in disorder: {self.reason}; no burst begins until {AGAIN} strides in a row are in order; {remedy}"

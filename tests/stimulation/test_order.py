@@ -244,11 +244,13 @@ def test_they_begin_again_when_strides_close_as_before() -> None:
     assert foot.order.in_order
 
 
-def test_what_lies_does_not_become_usual() -> None:
+@pytest.mark.parametrize(("off", "each_s"), [(30.0, 0.1), (0.0, 0.3)], ids=["elsewhere", "ended late"])
+def test_what_lies_does_not_become_usual(off: float, each_s: float) -> None:
     foot = walked()
     for k in range(60):
-        foot.go(result=closing(30.0, 0, 100 + k))
+        foot.go(result=closing(off, 0, 100 + k), each_s=each_s)
     assert not foot.order.in_order
+    assert "pause and go on" in foot.order.describe()
 
 
 def test_a_person_who_arms_takes_the_walk_as_it_is() -> None:
