@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
 
@@ -175,6 +175,7 @@ STRIDES = st.lists(
 @pytest.mark.requirement("SR-26")
 @settings(max_examples=60, deadline=None)
 @given(STRIDES, st.sampled_from([0.04, 0.06, 0.3]), st.sampled_from([0.2, 0.7, 2.0]))
+@example([*[(0, 200, 400, "stance")] * 5, (50, 260, 460, "stance")], 0.06, 2.0)
 def test_whatever_the_foot_does_a_burst_that_began_early_is_bounded(
     strides: list[tuple[int, int, int, str]], extension_s: float, max_on_s: float
 ) -> None:
