@@ -127,7 +127,7 @@ class OrderJudge:
     def begin_anew(self) -> None:
         """A person has armed, or gone on: of a foot in disorder what its strides are now counts, whatever they were."""
         if not self.in_order:
-            self._closing = Closing()
+            self._closing, self._late = Closing(), 0
             self._swings_ns.clear()
 
     def on_phase(self, change: PhaseChange) -> None:

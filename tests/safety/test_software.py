@@ -10,6 +10,7 @@ import tomllib
 from typing import Any
 
 import pytest
+from gate_bench import make_limits
 from pydantic import ValidationError
 from risks import HAZARDS, ROOT
 from software import (
@@ -171,22 +172,9 @@ def test_intensity_stays_between_nothing_and_all(asked: float, set_to: float) ->
     assert controller.intensity == set_to
 
 
-LIMITS = {
-    "max_current_ma": 30.0,
-    "max_pulse_width_us": 400.0,
-    "max_frequency_hz": 50.0,
-    "max_charge_per_phase_uc": 10.0,
-    "max_charge_per_minute_mc": 50.0,
-    "max_current_density_ma_per_cm2": 1.0,
-    "max_rise_ma_per_s": 1000.0,
-    "max_on_s": 2.0,
-    "min_off_s": 0.1,
-}
-
-
 @pytest.mark.requirement("SR-17")
 @pytest.mark.parametrize("missing", sorted(ChannelLimits.model_fields))
 def test_each_single_limit_must_be_stated(missing: str) -> None:
-    assert ChannelLimits.model_validate(LIMITS)
+    assert ChannelLimits.model_validate(make_limits())
     with pytest.raises(ValidationError, match=missing):
-        ChannelLimits.model_validate({name: value for name, value in LIMITS.items() if name != missing})
+        ChannelLimits.model_validate({name: value for name, value in make_limits().items() if name != missing})

@@ -234,6 +234,9 @@ def test_one_stumble_stops_nothing() -> None:
         assert foot.go(result=closing(50.0 * (k % 3 == 0), k % 5, 200 + k))
 
 
+OTHERWISE = pytest.mark.parametrize(("off", "each_s"), [(30.0, 0.1), (0.0, 0.3)], ids=["elsewhere", "ended late"])
+
+
 def test_they_begin_again_when_strides_close_as_before() -> None:
     foot = walked()
     for k in range(8):
@@ -244,7 +247,7 @@ def test_they_begin_again_when_strides_close_as_before() -> None:
     assert foot.order.in_order
 
 
-@pytest.mark.parametrize(("off", "each_s"), [(30.0, 0.1), (0.0, 0.3)], ids=["elsewhere", "ended late"])
+@OTHERWISE
 def test_what_lies_does_not_become_usual(off: float, each_s: float) -> None:
     foot = walked()
     for k in range(60):
@@ -253,13 +256,15 @@ def test_what_lies_does_not_become_usual(off: float, each_s: float) -> None:
     assert "pause and go on" in foot.order.describe()
 
 
-def test_a_person_who_arms_takes_the_walk_as_it_is() -> None:
+@OTHERWISE
+def test_a_person_who_arms_takes_the_walk_as_it_is(off: float, each_s: float) -> None:
     foot = walked()
     for k in range(8):
-        foot.go(result=closing(30.0, 0, 100 + k))
+        foot.go(result=closing(off, 0, 100 + k), each_s=each_s)
+    assert not foot.order.in_order
     foot.order.begin_anew()
     for k in range(5):
-        foot.go(result=closing(30.0, 0, 400 + k))
+        foot.go(result=closing(off, 0, 400 + k), each_s=each_s)
     assert foot.order.in_order
 
 
