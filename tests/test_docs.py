@@ -8,8 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import architecture_page
 import click
+import from_code
 import pytest
 
 from fes.cli.main import main
@@ -141,7 +141,7 @@ def importable(name: str) -> bool:
 
 
 def test_the_rooms_the_loop_and_the_frames_are_as_the_code_has_them():
-    assert architecture_page.main(["--check"]) == 0
+    assert from_code.main(["--check"]) == 0
 
 
 def toml_blocks(name: str) -> list[dict[str, Any]]:
@@ -190,4 +190,4 @@ def test_what_a_user_has_to_read_grows_no_longer():
     read = {ROOT / "README.md", index, *(ROOT / "docs" / name for name in links if name.endswith(".md"))}
     prose = " ".join(FENCE.sub("", RENDERED.sub("", text_of(page))) for page in read)
     words = [word for word in prose.split() if any(letter.isalnum() for letter in word)]
-    assert len(words) <= 22_500, f"{len(words)} words: say it shorter, or in a table of what measured it"
+    assert len(words) <= 22_000, f"{len(words)} words: say it shorter, or in a table of what measured it"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -27,7 +26,7 @@ from fes.estimation.strides import segmentation
 from fes.estimation.strides.boundaries import UNSEEN_NS, stride_time_ns
 from fes.estimation.strides.integration import double_integral, effects, goes_backward, integrate, orient
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker, StrideSettings
-from fes.estimation.strides.schema import COLUMNS, LIVE_TABLE, STRIDE, TABLE, markdown, table_row
+from fes.estimation.strides.schema import COLUMNS, LIVE_TABLE, STRIDE, TABLE, table_row
 from fes.estimation.zupt.thresholds import mark_missed_stances, quietest_instants
 from fes.recording.tracks import Track
 from fes.session_log.codec import decode, encode
@@ -717,7 +716,6 @@ def test_in_slow_walking_the_speed_is_the_belts(speed_mps: float) -> None:
 # --- The columns of a stride, stated once: what carries them has the same names, in the docs too ---
 
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "strides.md"
 PATH = {"x_m", "y_m", "z_m", "heading_rad"}
 LIVE = {f"t_{phase}_live_s" for phase in ("pre_swing", "swing", "loading_response", "stance")}
 RESULT = StrideResult(
@@ -761,10 +759,6 @@ def test_a_log_from_before_the_roll_is_read() -> None:
     assert np.array_equal(before.pitch_rad, now.pitch_rad)
     with pytest.raises(ValueError, match="length"):
         decode(kind, memoryview(payload)[:-4])
-
-
-def test_the_page_shows_the_columns() -> None:
-    assert markdown() in DOCS.read_text(encoding="utf-8"), "write it anew from fes.estimation.strides.schema.markdown()"
 
 
 # --- Steps backward, walked with the calibration of a walk forward: refused ---

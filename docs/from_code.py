@@ -1,7 +1,8 @@
-"""Write the table of rooms in docs/architecture.md, and two pictures: ``python docs/architecture_page.py [--check]``.
+"""Write what pages take from the code: the tables of rooms, gait parameters and columns of a stride, and two pictures.
 
-A room's words are its own docstring's, its floor is that of tests/test_import_rules.py, and the frames of
-``can_frames.svg`` are the DBC's, bit by bit. So the pages cannot say something else than the code; a test holds it.
+``python docs/from_code.py [--check]``. A room's words are its own docstring's, its floor is that of
+tests/test_import_rules.py, and the frames of ``can_frames.svg`` are the DBC's, bit by bit. So the pages cannot say
+something else than the code; a test holds it.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ from pathlib import Path
 import cantools
 from phases_page import GREY, INK, lines_of, svg, updated
 
+from fes.analysis.parameters import definitions
+from fes.estimation.strides import schema
+
 ROOT = Path(__file__).resolve().parents[1]
 DBC = ROOT / "drivers" / "stimulator" / "fes_stimulator.dbc"
-PAGE, LOOP, FRAMES = (ROOT / "docs" / name for name in ("architecture.md", "loop.svg", "can_frames.svg"))
+LOOP, FRAMES = (ROOT / "docs" / name for name in ("loop.svg", "can_frames.svg"))
 TREES = ("fes", "drivers", "statemachine")
-BEGIN = "<!-- begin: written by `python docs/architecture_page.py` -->"
+WRITTEN = "<!-- begin: written by `python docs/from_code.py` -->"
 
 BOX_WIDTH, BOX_HEIGHT = 128, 80
 BOXES = {  # name: what it does; left edge and top
@@ -117,15 +121,18 @@ def frames() -> Iterator[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table and the pictures, or check that they are as they would be written."""
-    parser = argparse.ArgumentParser(prog="python docs/architecture_page.py", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python docs/from_code.py", description=main.__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if something is out of date")
     check = parser.parse_args(arguments).check
-    page = updated(PAGE.read_text(encoding="utf-8"), rooms(), BEGIN)
-    new = {PAGE: page, LOOP: svg(332, list(loop())), FRAMES: svg(28 + FRAME_EVERY * 5, list(frames()))}
+    tables = {"architecture.md": rooms(), "parameters.md": definitions.markdown(), "strides.md": schema.markdown()}
+    new = {LOOP: svg(332, list(loop())), FRAMES: svg(28 + FRAME_EVERY * 5, list(frames()))}
+    for name, table in tables.items():
+        page = ROOT / "docs" / name
+        new[page] = updated(page.read_text(encoding="utf-8"), table, WRITTEN)
     old = [path for path, text in new.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     for path in old:
         if check:
-            print(f"{path.name} is out of date: run python docs/architecture_page.py")
+            print(f"{path.name} is out of date: run python docs/from_code.py")
         else:
             path.write_text(new[path], encoding="utf-8")
     return int(check and bool(old))
