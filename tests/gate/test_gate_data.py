@@ -209,7 +209,7 @@ def test_clock_set_ahead_latches_and_can_be_armed_again(bench: Bench) -> None:
 
 @pytest.mark.requirement("SR-11")
 @pytest.mark.parametrize("wild_ms", [10_000, 45, -45, -10_000])
-def test_one_wild_stamp_is_counted_and_has_no_effect(bench: Bench, wild_ms: int) -> None:
+def test_one_wild_stamp_has_no_effect(bench: Bench, wild_ms: int) -> None:
     for _ in range(60):
         bench.wait(20)
     bench.wait(20, sampling=False)
@@ -218,7 +218,6 @@ def test_one_wild_stamp_is_counted_and_has_no_effect(bench: Bench, wild_ms: int)
         assert bench.ask(current_ma=1.0).on
         bench.wait(20)
     assert bench.gate.latched == ""
-    assert bench.gate.stamps.slips["left_foot"] in (1, 2), "there, and back again"
 
 
 @pytest.mark.requirement("SR-11")
@@ -250,8 +249,8 @@ def test_more_than_one_in_twenty_stamps_out_of_order_latches_within_a_second(
 def test_time_running_backward_between_events_latches(bench: Bench) -> None:
     bench.observe(Tick(bench.t_ns))
     assert bench.gate.armed, "the same time again is no step back"
-    bench.observe(Tick(bench.t_ns - 2 * MS))
-    assert bench.gate.latched == "time ran backward by 2 ms"
+    bench.observe(Tick(bench.t_ns - 1_375_000))
+    assert (bench.gate.latched, bench.gate.latched_ns) == ("time ran backward by 1.38 ms", bench.t_ns - 1_375_000)
 
 
 def test_arming_from_the_past_does_not_stand(bench: Bench) -> None:

@@ -46,10 +46,20 @@ def test_no_number_latches_and_never_raises(bench: Bench, field: str, value: Any
     assert_latched(bench, bench.judge(replace(ASKED, **{field: value})), "must be a number above 0")
 
 
-@pytest.mark.parametrize("on", [1, None, "yes", np.True_, HUGE])
-def test_on_must_be_true_or_false(bench: Bench, on: Any) -> None:
+@pytest.mark.parametrize(
+    ("on", "shown"),
+    [
+        (1, "1"),
+        (None, "None"),
+        ("yes", "'yes'"),
+        (np.True_, "np.True_"),
+        pytest.param(10**5000, "a huge number", id="huge"),
+    ],
+)
+def test_on_must_be_true_or_false(bench: Bench, on: Any, shown: str) -> None:
     bench.wait(20)
-    assert_latched(bench, bench.judge(replace(ASKED, on=on)), "must be true or false")
+    command = bench.judge(replace(ASKED, on=on))
+    assert_latched(bench, command, f"channel 0: on is {shown}, must be true or false")
 
 
 @pytest.mark.parametrize("number", [1, 7, -1])
@@ -208,15 +218,6 @@ def test_rise_within_one_instant_is_one_step_however_often_asked(bench: Bench) -
     assert bench.ask(current_ma=0.5).on
     assert bench.ask(current_ma=0.5).on
     assert_latched(bench, bench.ask(current_ma=1.0), "rise")
-
-
-def test_first_command_ever_may_be_one_step() -> None:
-    for current_ma, passes in ((0.5, True), (1.0, False)):
-        bench = Bench(arm=False)
-        bench.sample()
-        bench.rearm()
-        assert bench.ask(current_ma=current_ma).on is passes
-        assert bool(bench.gate.latched) is not passes
 
 
 @pytest.mark.requirement("SR-05")
