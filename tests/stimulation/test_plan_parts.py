@@ -8,7 +8,7 @@ import pytest
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, make_channel
 
 from fes.config import Channel
-from fes.stimulation.envelope import BIN_S, BurstParameters, Envelope, round_down
+from fes.stimulation.envelope import BIN_S, BurstParameters, Envelope
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -50,13 +50,6 @@ def test_it_is_over_when_the_fall_is_complete_and_the_first_stop_counts() -> Non
     assert not stopped.over(1000 + RISE + FALL - 1)
     assert stopped.over(1000 + RISE + FALL)
     assert [stopped.falls(1000 + RISE + ns) for ns in (-1, 0, 1)] == [False, True, True]
-
-
-def test_rounding_down_where_the_quotient_rounds_up() -> None:
-    assert 17 * 0.1 > 1.7
-    assert round_down(1.7, 0.1) == 16 * 0.1
-    assert round_down(3.4999999999999996, 0.7) == 4 * 0.7
-    assert round_down(0.5, 0.5) == 0.5
 
 
 class Bench:
