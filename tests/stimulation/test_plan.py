@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import gate_bench
 import pytest
@@ -73,9 +73,16 @@ def test_off_is_its_own_request_before_anything_has_happened() -> None:
     assert not plan.due(10 * MS, 1.0)
 
 
+class ByHand(NamedTuple):
+    """A burst asked for at that time, to hold for 300 ms; ``adopt``: for a step to take over."""
+
+    at_ms: int
+    adopt: bool = False
+
+
 # a phase is entered; a whole number only lets time pass until then (ms), with a current (mA) it is what is asked for
 # then; a lone fraction is the operator's intensity from there on
-Script = list[Phase | int | float | tuple[int, float]]
+Script = list[Phase | int | float | ByHand | tuple[int, float]]
 BURSTS: dict[str, tuple[dict[str, Any], Script]] = {
     "the trapezoid of one stride": ({}, [
         PRE_SWING, (0, 0.5), (25, 5.0), (50, 10.0), (100, 20.0), SWING, (500, 20.0),
@@ -116,9 +123,29 @@ BURSTS: dict[str, tuple[dict[str, Any], Script]] = {
     ),
     **{f"less than a step of {what} is off": ({what: less}, [PRE_SWING, (100, 0.0)])
        for what, less in (("frequency_hz", 0.9), ("pulse_width_us", 0.9), ("current_ma", 0.4))},
+    "by hand it holds and falls, after 60 ms of extension": (
+        {}, [ByHand(20), (20, 0.5), (70, 10.0), (300, 20.0), (380, 20.0), (430, 10.0), (480, 0.0)]
+    ),
+    "by hand it does not begin anew while it lasts": ({}, [ByHand(20), 200, ByHand(200), (480, 0.0)]),
+    "by hand and adopted it becomes the step's, and its hold is forgotten": ({}, [
+        ByHand(20, True), 200, PRE_SWING, (200, 20.0), (700, 20.0), 720, SWING, 740, LOADING,
+        (790, 20.0), (850, 10.0), (900, 0.0),
+    ]),
+    "by hand and not adopted it ends, and after the least off time the step's own begins": (
+        {}, [ByHand(20), 200, PRE_SWING, (200, 0.0), (299, 0.0), 320, (500, 20.0)]
+    ),
+    "by hand and falling already it is not adopted": (
+        {}, [ByHand(20, True), 400, PRE_SWING, (400, 0.0), 500, (700, 20.0)]
+    ),
+    "a step before it begins its own, which has no hold": (
+        {}, [ByHand(300, True), 20, PRE_SWING, 40, (240, 20.0), (900, 20.0)]
+    ),
     "intensity scales the current": ({}, [0.5, PRE_SWING, (100, 10.0)]),
     "a lower intensity acts at once, a higher one with the next burst": (
         {}, [PRE_SWING, (100, 20.0), 0.5, (101, 10.0), 0.8, (120, 10.0), STANCE, 300, PRE_SWING, (400, 16.0)]
+    ),
+    "it has the intensity of the time at which it is due": (
+        {"start_delay_s": 0.1}, [0.5, 20, PRE_SWING, 120, 1.0, (400, 10.0)]
     ),
     "an intensity set during the start delay is the burst's": (
         {"start_delay_s": 0.05}, [0.5, PRE_SWING, 40, 0.8, (200, 16.0)]
@@ -138,6 +165,8 @@ def test_a_bursts_current(what: str) -> None:
     for step in script:
         if isinstance(step, Phase):
             walk.enter(step)
+        elif isinstance(step, ByHand):
+            walk.plan.start(0, step.at_ms * MS, 300 * MS, adopt=step.adopt)
         elif isinstance(step, float):
             walk.intensity = step
         elif isinstance(step, int):

@@ -137,10 +137,3 @@ def test_never_more_than_without_and_never_less_before_it_may_end(
                 walk.enter(STANCE)
         if not breaks:
             swings.append(swing_ms)
-
-
-@pytest.mark.parametrize("early_ns", [0, 1, 80 * MS])
-def test_the_same_calls_give_the_same_requests(early_ns: int) -> None:
-    walks = early(early_ns / 1e9), early(early_ns / 1e9)
-    for swing_ms in (500, 520, 480, 510, 490):
-        assert step(walks[0], swing_ms) == step(walks[1], swing_ms)
