@@ -77,7 +77,6 @@ class ChannelState:
     held_back: bool = False
     dose: Dose = field(default_factory=Dose)
     caps: Caps = field(init=False)
-    area_cm2: float = field(init=False)
     most_on_ns: int = field(init=False)
     least_off_ns: int = field(init=False)
     most_mc: float = field(init=False)
@@ -86,7 +85,6 @@ class ChannelState:
     def __post_init__(self) -> None:
         own = self.channel.limits
         self.caps = caps_of(own, self.most)
-        self.area_cm2 = self.channel.electrode_area_cm2
         self.most_on_ns = round(min(limits.MAX_ON_S, self.most.max_on_s, own.max_on_s) * NS_PER_S)
         self.least_off_ns = round(max(limits.MIN_OFF_S, own.min_off_s) * NS_PER_S)
         most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, self.most.max_charge_per_minute_mc)

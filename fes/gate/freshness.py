@@ -36,13 +36,12 @@ class Stamps:
     """Counts stamps that are doubled, out of order, or ahead of the time that has passed, sensor by sensor.
 
     Single slips are counted, too many within a second are a fault. A gap is no slip: what was lost on the way shows in
-    the data's age. ``slips`` counts all since the start. ``by_radio``: samples come in bunches, so that stamps go ahead
-    of the time waited; none may lie ahead of its own arrival.
+    the data's age. ``by_radio``: samples come in bunches, so that stamps go ahead of the time waited; none may lie
+    ahead of its own arrival.
     """
 
     def __init__(self, by_radio: frozenset[str] = frozenset()) -> None:
         self._by_radio = by_radio
-        self.slips: dict[str, int] = {}
         self._sensors: dict[str, _SensorStamps] = {}
 
     def fault(self, sample: ImuSample) -> str:
@@ -50,7 +49,6 @@ class Stamps:
         known = self._sensors.get(sample.sensor)
         if known is None:
             self._sensors[sample.sensor] = _SensorStamps(sample.t_ns, sample.t_sensor_ns)
-            self.slips[sample.sensor] = 0
             return ""
         t_ns, samples, slips = sample.t_ns, known.samples, known.slips
         step_ns, waited_ns = sample.t_sensor_ns - known.t_sensor_ns, t_ns - known.t_ns
@@ -61,7 +59,6 @@ class Stamps:
         else:
             ahead_ns = step_ns - waited_ns
         if step_ns <= 0 or (ahead_ns > LEAST_JUMP_NS and ahead_ns > waited_ns // 2):
-            self.slips[sample.sensor] += 1
             slips.append(t_ns)
         while t_ns - samples[0] > WINDOW_NS:  # at the latest it ends at this sample
             samples.popleft()

@@ -20,7 +20,7 @@ from fes.gate.channel import COARSEST_STEP_MA, RISE_STEP_MA, ChannelState
 from fes.gate.electrical import is_number, no_number, over_a_cap, shown, wrongly_delivered
 from fes.gate.freshness import Freshness, Stamps
 from fes.gate.movement import BurstWatch, Movement
-from fes.gate.plausibility import Plausible
+from fes.gate.plausibility import Plausibility
 from fes.signals import (
     NS_PER_S,
     Event,
@@ -92,8 +92,10 @@ class SafetyGate:
         self._freshness = Freshness(
             min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000, dict.fromkeys(by_radio, radio_age_ns)
         )
-        self._plausible = Plausible(devices, up or {})
-        self.stamps = Stamps(by_radio)
+        self._devices = {str(device.sensor): device for device in devices}
+        self._up = dict(up or {})
+        self._judges = {"": Plausibility("", None, None)}  # compiled now: a first sample must not wait for it
+        self._stamps = Stamps(by_radio)
         self._channels: dict[int, ChannelState] = {}
         step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
@@ -149,10 +151,10 @@ class SafetyGate:
         if isinstance(event, ImuSample):
             silence = self._freshness.silence(event) if self._armed else ""
             # all three take it in, whatever one of them says; the gravest is named
-            order, fault = self.stamps.fault(event), self._freshness.note(event)
+            order, fault = self._stamps.fault(event), self._freshness.note(event)
             # a movement is judged by when it was, not by when a radio let it through
             felt = event._replace(t_ns=event.t_sensor_ns) if event.sensor in self._by_radio else event
-            implausible = self._plausible.fault(felt)
+            implausible = self._judge_of(event.sensor).fault(felt)
             if movement := self._movements.get(event.sensor):
                 movement.observe(event)
             if fault := fault or implausible or order or silence:
@@ -199,7 +201,7 @@ class SafetyGate:
         if state is None:
             return
         if status.on:
-            over = wrongly_delivered(status, state.area_cm2, state.caps)
+            over = wrongly_delivered(status, state.channel.electrode_area_cm2, state.caps)
             if over:
                 self.latch(status.t_ns, f"{state.channel.name}: stimulator delivers {over}")
         if status.pulses > 0 and state.unasked(status.t_ns):
@@ -246,7 +248,13 @@ class SafetyGate:
     def _reason_not_ready(self, sensor: str, t_ns: int) -> str:
         if not sensor:
             return ""
-        return self._freshness.reason_not_ready(sensor, t_ns) or self._plausible.reason_not_ready(sensor)
+        return self._freshness.reason_not_ready(sensor, t_ns) or self._judge_of(sensor).not_ready
+
+    def _judge_of(self, sensor: str) -> Plausibility:
+        """Whether this sensor's numbers can be, as one that knows its ranges and its mounting judges them."""
+        if sensor not in self._judges:
+            self._judges[sensor] = Plausibility(sensor, self._devices.get(sensor), self._up.get(sensor))
+        return self._judges[sensor]
 
     def _refusal(self, t_ns: int, state: ChannelState | None, request: StimRequest) -> str:
         """Why stimulation must not go out; "" when it may. Latches what is a fault."""
@@ -278,7 +286,7 @@ class SafetyGate:
         fault = (
             _no_switch(request.on)
             or no_number(request)
-            or over_a_cap(request, state.area_cm2, state.caps)
+            or over_a_cap(request, state.channel.electrode_area_cm2, state.caps)
             or state.on_too_long(t_ns)
             or state.too_much_charge(t_ns)
         )

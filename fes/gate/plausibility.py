@@ -7,7 +7,6 @@ is for: :mod:`fes.gate.bounds`.
 """
 
 import math
-from collections.abc import Mapping
 from itertools import permutations, product
 from typing import Final
 
@@ -338,33 +337,3 @@ class Plausibility:
 
     def _sentence(self, code: int) -> str:
         return sentence(code, self._sensor, float(self._core["value"][0]))
-
-
-class Plausible:
-    """All sensors' plausibility.
-
-    Args:
-        devices: the session's sensors; one that is not among them is judged without ranges.
-        up: the calibrated upward directions by sensor.
-    """
-
-    def __init__(self, devices: tuple[ImuDevice, ...], up: Mapping[str, Vector3]) -> None:
-        self._devices = {str(device.sensor): device for device in devices}
-        self._up = dict(up)
-        self._new("")  # compiled now, though no sensor may be known yet: a first sample must not wait for it
-        self._sensors = {sensor: self._new(sensor) for sensor in self._devices.keys() | self._up.keys()}
-
-    def fault(self, sample: ImuSample) -> str:
-        """Take in a sample; see :meth:`Plausibility.fault`."""
-        known = self._sensors.get(sample.sensor)
-        if known is None:
-            known = self._sensors[sample.sensor] = self._new(sample.sensor)
-        return known.fault(sample)
-
-    def reason_not_ready(self, sensor: str) -> str:
-        """Why this sensor's data are no ground for stimulating now; "" when they are."""
-        known = self._sensors.get(sensor)
-        return known.not_ready if known else ""
-
-    def _new(self, sensor: str) -> Plausibility:
-        return Plausibility(sensor, self._devices.get(sensor), self._up.get(sensor))

@@ -6,7 +6,7 @@ What of a burst may differ from one stride to the next; all else is the session'
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fes.config import Channel
 from fes.signals import NS_PER_S
@@ -104,34 +104,19 @@ class Envelope:
 
     def dimmed(self, intensity: float) -> Envelope:
         """The same burst at this intensity if that is lower; a higher one waits for the next burst."""
-        return self._again(intensity, self.t_stop_ns, self.t_due_ns) if intensity < self.intensity else self
+        return replace(self, intensity=intensity) if intensity < self.intensity else self
 
     def stopped(self, t_ns: int) -> Envelope:
         """The same burst with the stop phase entered at ``t_ns``; the first entry counts."""
-        return self._again(self.intensity, t_ns, self.t_due_ns) if self.t_stop_ns is None else self
+        return replace(self, t_stop_ns=t_ns) if self.t_stop_ns is None else self
 
     def unstopped(self) -> Envelope:
         """The same burst with the stop phase still to come."""
-        return self._again(self.intensity, None, self.t_due_ns)
+        return replace(self, t_stop_ns=None)
 
     def due(self, t_ns: int | None) -> Envelope:
         """The same burst, to fall at ``t_ns`` though the stop phase has not come; None: not before it."""
-        return self._again(self.intensity, self.t_stop_ns, t_ns)
-
-    def _again(self, intensity: float, t_stop_ns: int | None, t_due_ns: int | None) -> Envelope:
-        """As ``dataclasses.replace``, which takes several times as long."""
-        return Envelope(
-            self.t_start_ns,
-            self.parameters,
-            self.frequency_hz,
-            self.rise_ns,
-            self.extension_ns,
-            self.fall_ns,
-            self.max_on_ns,
-            intensity,
-            t_stop_ns,
-            t_due_ns,
-        )
+        return replace(self, t_due_ns=t_ns)
 
     def level_ma(self, t_ns: int) -> float:
         """Current at ``t_ns``, in mA, never negative; 0 before the start and after the end."""

@@ -214,7 +214,7 @@ class StimulationPlan:
             state.taken, state.awaited_ns, state.latest_ns, state.held = state.upcoming, t_ns, None, True
             state.by_hand_ns, state.adopt = None, False
             burst, state.awaited_ns = self._burst(state, t_ns, intensity), None
-            if burst is not None and self._is_on(burst, t_ns):
+            if burst is not None and self._pulse(burst, t_ns):
                 state.latest_ns = t_ns + max(state.lasted_ns[state.start]) + burst.extension_ns
                 most_ns = min(FALSE_NS, burst.max_on_ns)  # until the heel has risen, and off without a ramp
                 state.burst, begun = replace(burst, max_on_ns=most_ns, fall_ns=0, t_due_ns=state.latest_ns), True
@@ -256,7 +256,7 @@ class StimulationPlan:
             elif state.on and burst is state.steady and t_ns < state.steady_ns and intensity >= burst.intensity:
                 continue
             burst = self._burst(state, t_ns, intensity)
-            if (burst is not None and self._is_on(burst, t_ns)) != state.on:
+            if (burst is not None and self._pulse(burst, t_ns) is not None) != state.on:
                 return True
         return False
 
@@ -313,14 +313,6 @@ class StimulationPlan:
             return level_ma
         rises = burst.t_start_ns <= t_ns < min(burst.t_start_ns + burst.rise_ns, burst.t_fall_ns)
         return step_ma if rises and step_ma <= burst.parameters.current_ma * burst.intensity else level_ma
-
-    def _is_on(self, burst: Envelope, t_ns: int) -> bool:
-        """Whether :meth:`_pulse` is not None: nothing of it is less than the device's step."""
-        return (
-            self._level_ma(burst, t_ns) >= self._current_step_ma
-            and burst.width_us(t_ns) >= self._pulse_width_step_us
-            and burst.frequency_hz >= FREQUENCY_STEP_HZ
-        )
 
     def _pulse(self, burst: Envelope, t_ns: int) -> tuple[float, float, float] | None:
         """Current (mA), width (µs) and frequency (Hz) in the device's steps; None where one is nothing."""

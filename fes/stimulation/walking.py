@@ -15,7 +15,7 @@ ever: without fresh data from the sensor there is no current, whatever the switc
 
 import math
 from collections import deque
-from collections.abc import Collection
+from statistics import median
 from typing import Final
 
 from fes.config import Stimulation
@@ -141,7 +141,7 @@ class WalkingJudge:
         elif abs(stride.turn_rad) <= self._most_rad:
             self._good_strides += 1
             self._lengths_m.append(stride.stride_length_m)
-        elif not self._good_strides or stride.stride_length_m < CURVE_SHARE * _median(self._lengths_m):
+        elif not self._good_strides or stride.stride_length_m < CURVE_SHARE * median(self._lengths_m):
             self._lapse(f"turned by {abs(math.degrees(stride.turn_rad)):.0f}°")
 
     def on_phase(self, change: PhaseChange) -> bool:
@@ -171,7 +171,7 @@ class WalkingJudge:
         longest_s = self._longest_stance_s()
         if stance_s > max(longest_s, PAUSE_S):
             self._lapse(f"stood for {stance_s:.1f} s")
-        elif self._stances_s and stance_s < SHORT_STANCE_SHARE * _median(self._stances_s):
+        elif self._stances_s and stance_s < SHORT_STANCE_SHARE * median(self._stances_s):
             self._short_s = stance_s
             return False  # the foot stirs after it has landed; the real heel rise is still to come
         if self._good_strides and stance_s <= longest_s:
@@ -182,16 +182,10 @@ class WalkingJudge:
         """A stance that lasts longer is none of walking."""
         if not self._stances_s:
             return LONGEST_NS / NS_PER_S
-        usual_s = _median(self._stances_s)
+        usual_s = median(self._stances_s)
         return max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S)
 
     def _lapse(self, reason: str) -> None:
         self._good_strides = 0
         self._stances_s.clear()
         self.reason = reason
-
-
-def _median(values: Collection[float]) -> float:
-    """As in ``statistics``, whose code is seldom at hand: once a stride."""
-    ordered, half = sorted(values), len(values) // 2
-    return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2

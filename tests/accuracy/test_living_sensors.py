@@ -15,7 +15,7 @@ import pytest
 from fes.calibration.recording import calibrate_shank_track, calibrate_track
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.gate.freshness import MAX_SAME_MS, Stamps
-from fes.gate.plausibility import Plausible
+from fes.gate.plausibility import Plausibility
 from fes.recording import Track, read_recording
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample, Vector3
 
@@ -50,7 +50,7 @@ def test_bundled_sensors_never_look_frozen() -> None:
 
 def complaints(track: Track, up: Vector3 | None) -> set[str]:
     """All that the gate's judges say of a track."""
-    plausible = Plausible((), {} if up is None else {track.sensor: up})
+    plausible = Plausibility(track.sensor, None, up)
     stamps = Stamps()
     said = set()
     for t_ns, t_sensor_ns, acc, gyr in zip(
@@ -61,7 +61,7 @@ def complaints(track: Track, up: Vector3 | None) -> set[str]:
         strict=True,
     ):
         sample = ImuSample(t_ns, track.sensor, t_sensor_ns, tuple(acc), tuple(gyr))
-        said |= {plausible.fault(sample), stamps.fault(sample), plausible.reason_not_ready(track.sensor)}
+        said |= {plausible.fault(sample), stamps.fault(sample), plausible.not_ready}
     return said - {""}
 
 
@@ -103,7 +103,7 @@ def test_real_sensors_are_plausible(path: Path) -> None:
 
 def until_in_g_ms(track: Track, at: int) -> float:
     """From sample ``at``, since which the force is in g, until the judge says so; infinite after half a second."""
-    judge = Plausible((), {})
+    judge = Plausibility(track.sensor, None, None)
     for k in range(at - 20, at + 50):
         acc = track.acc_mps2[k] / (G_MPS2 if k >= at else 1.0)
         t_ns = int(track.t_ns[k])

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 from fes.config import ImuDevice
 from fes.estimation.numerics.records import handed, new_core
-from fes.gate.bounds import AXIS_DEAD, CORE, EXCHANGED, Bounds, pack_sample, sentence
+from fes.gate.bounds import AXIS_DEAD, AXIS_FROZEN, CORE, EXCHANGED, SAID, Bounds, pack_sample, sentence
 from fes.gate.coherence import coherent, forget_person, misfit, restart, still_axis
 from fes.gate.plausibility import BOUNDS, axes_changed, place_of, wrong_unit
-from fes.signals import ImuSample, Vector3
+from fes.signals import NS_PER_S, ImuSample, Vector3
+
+Six = tuple[float, float, float, float, float, float]  # force and rate
 
 
 class Judge:
@@ -49,6 +52,13 @@ class Coherence(Judge):
         self.take(sample)
         return self.said(coherent(self.one))
 
+    def over(self, values: Iterable[Six], t_ns: int = NS_PER_S, step_ns: int = 10_000_000) -> list[str]:
+        """What is said of each of these; by default at 100 Hz."""
+        return [
+            self.fault(ImuSample(now_ns, self.sensor, now_ns, (x, y, z), (p, q, r)))
+            for now_ns, (x, y, z, p, q, r) in zip(count(t_ns, step_ns), values, strict=False)
+        ]
+
     @property
     def not_ready(self) -> str:
         return self.said(int(self.one.frozen))
@@ -64,7 +74,7 @@ class MeanForce(Judge):
 class Stillness(Judge):
     """Axes that are still while the others move."""
 
-    def stuck(self, means: tuple[float, float, float, float, float, float], block_ns: int) -> int:
+    def stuck(self, means: Six, block_ns: int) -> int:
         return still_axis(self.one, *means, block_ns)
 
 
@@ -85,9 +95,6 @@ class Axes(Judge):
         return self.said(EXCHANGED if axes_changed(self.one) else 0)
 
 
-def all_codes() -> Iterator[int]:
+def all_codes() -> list[int]:
     """Of which there are words."""
-    from fes.gate.bounds import AXIS_FROZEN, SAID
-
-    for code in SAID:
-        yield from (code + axis for axis in range(1 if code < AXIS_FROZEN else 3 if code == AXIS_DEAD else 6))
+    return [code + axis for code in SAID for axis in range(1 if code < AXIS_FROZEN else 3 if code == AXIS_DEAD else 6)]

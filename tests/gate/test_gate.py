@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from gate_bench import (
     ASKED,
+    MS,
     Bench,
     assert_held,
     assert_latched,
@@ -18,7 +19,17 @@ from gate_bench import (
 
 import fes.gate
 from fes.gate import SafetyGate
-from fes.signals import ImuSample, OperatorAct, OperatorAction, StimAlive, StimCommand, StimRequest, StimStatus
+from fes.signals import (
+    Event,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimCommand,
+    StimRequest,
+    StimStatus,
+    SystemFault,
+)
 
 
 @pytest.fixture
@@ -38,7 +49,7 @@ def test_good_request_goes_through_unchanged(bench: Bench) -> None:
 def test_starts_silent() -> None:
     bench = Bench(arm=False)
     bench.sample()
-    assert not bench.gate.armed
+    assert (bench.gate.armed, bench.gate.arming_refused) == (False, "")
     assert (bench.gate.latched, bench.gate.latched_ns) == ("", None)
     assert bench.ask(current_ma=0.5).refused == "not armed"
     assert not bench.gate.latched
@@ -56,9 +67,10 @@ def test_off_always_passes_and_gives_no_reason(bench: Bench) -> None:
 def test_disarm_stops_without_a_latch(bench: Bench) -> None:
     bench.wait(20)
     assert bench.ask().on
+    assert bench.gate.armed is True
     bench.act(OperatorAction.DISARM)
     assert bench.ask().refused == "not armed"
-    assert bench.gate.latched == ""
+    assert (bench.gate.armed, bench.gate.latched) == (False, "")
 
 
 @pytest.mark.requirement("SR-01")
@@ -159,9 +171,26 @@ def test_fault_in_a_status_latches(bench: Bench) -> None:
     assert_latched(bench, bench.ask(), "stimulator fault on channel 3: electrode")
 
 
-def test_fault_in_a_heartbeat_latches(bench: Bench) -> None:
-    bench.observe(StimAlive(bench.t_ns, 77, 0, "high voltage"))
-    assert_latched(bench, bench.ask(), "stimulator fault: high voltage")
+LATE_NS = 7_000 * MS
+
+
+@pytest.mark.parametrize(
+    ("event", "says"),
+    [
+        (StimAlive(LATE_NS, 2, 0), "stimulator restarted"),
+        (StimAlive(LATE_NS, 1, 0, "voltage"), "stimulator fault: voltage"),
+        (StimStatus(LATE_NS, 3, 1, False, 0.0, 0.0, 0.0, fault="lead"), "stimulator fault on channel 3: lead"),
+        (StimStatus(LATE_NS, 0, 1, True, 31.0, 1.0, 1.0), "channel 0: stimulator delivers current 31 mA, limit 30 mA"),
+        (OperatorAct(LATE_NS, OperatorAction.EMERGENCY_STOP), "emergency stop"),
+        (SystemFault(LATE_NS, "the loop stalled for 120 ms"), "the loop stalled for 120 ms"),
+    ],
+)  # fmt: skip
+def test_every_latch_says_when_and_in_these_words(bench: Bench, event: Event, says: str) -> None:
+    bench.observe(StimAlive(bench.t_ns, 1, 0))
+    bench.observe(event)
+    assert (bench.gate.latched, bench.gate.latched_ns, bench.gate.armed) == (says, LATE_NS, False)
+    bench.t_ns = LATE_NS
+    assert bench.ask(current_ma=0.5).refused == says
 
 
 @pytest.mark.requirement("SR-13")
@@ -183,7 +212,10 @@ def test_restart_of_the_stimulator_latches_once(bench: Bench) -> None:
         ((20.0, 300.0, 51.0), "channel 0: stimulator delivers frequency 51 Hz, limit 50 Hz"),
         ((30.0, 400.0, 50.0), "channel 0: stimulator delivers charge per phase 12 µC, limit 10 µC"),
         ((math.nan, 300.0, 40.0), "channel 0: stimulator delivers current nan mA, limit 30 mA"),
-        ((20.0, -300.0, 40.0), "channel 0: stimulator delivers a pulse of negative size"),
+        *(
+            (pulse, "channel 0: stimulator delivers a pulse of negative size")
+            for pulse in ((-1.0, 300.0, 40.0), (20.0, -1.0, 40.0), (20.0, 300.0, -1.0))
+        ),
     ],
 )
 def test_delivering_over_a_limit_latches(bench: Bench, delivered: tuple[float, float, float], reason: str) -> None:

@@ -16,7 +16,7 @@ from fes.gate.plausibility import BOUNDS, Plausibility
 from fes.signals import ImuSample, Vector3
 
 MS = 1_000_000
-LEAST_FORCE, LEAST_RATE = math.sqrt(BOUNDS.least_force2), math.sqrt(BOUNDS.least_rate2)
+ZERO: Vector3 = (0.0, 0.0, 0.0)
 FORCE: Vector3 = (6.0, -7.0, 12.0)
 RATE: Vector3 = (3.0, 5.0, -2.0)
 TURNED = ((-7.0, 12.0, 6.0), (5.0, -2.0, 3.0))  # y, z, x of them
@@ -92,8 +92,6 @@ def test_a_jump_that_no_exchange_explains_is_a_heel_strike() -> None:
 
 
 def test_what_an_exchange_leaves_is_an_eighth_of_the_jump_at_most() -> None:
-    zero = (0.0, 0.0, 0.0)
-
     def changed(rest_mps2: float) -> Vector3:
         return (-7.0, 12.0 - rest_mps2, 6.0)
 
@@ -101,12 +99,9 @@ def test_what_an_exchange_leaves_is_an_eighth_of_the_jump_at_most() -> None:
         of_force = [apart(changed(rest_mps2), exchanged(FORCE, *exchange)) for exchange in EXCHANGES]
         return min(of_force) / apart(changed(rest_mps2), FORCE)
 
-    def with_rest(rest_mps2: float) -> list[int]:
-        return told([(FORCE, zero)] * 2 + [(changed(rest_mps2), zero)] * 3)
-
     limit = next(r / 1000 for r in range(12_000) if left(r / 1000) > 0.09)
-    assert with_rest(limit - 0.002) == [4]
-    assert with_rest(limit) == []
+    for rest_mps2, at in ((limit - 0.002, [4]), (limit, [])):
+        assert told([(FORCE, ZERO)] * 2 + [(changed(rest_mps2), ZERO)] * 3) == at
 
 
 @pytest.mark.parametrize(("changed", "limit"), [(0.0, 0.2127), (0.2, 0.3357)])
@@ -163,80 +158,56 @@ def test_two_samples_later_it_is_no_nearer_to_what_was(of_force: float, of_rate:
     )
 
 
-def unsmooth(at: int, by: float, of_rate: bool) -> list[int]:
-    """A jump of the force by 566/229 + 78/38 at sample 3 and another step at sample ``at``."""
-    pairs = [(FORCE, RATE)] * 3 + [TURNED] * 4
-    for k in range(at, len(pairs)):
-        acc, gyr = pairs[k]
-        pairs[k] = (acc, moved(gyr, by, 2)) if of_rate else (moved(acc, by, 2), gyr)
-    return told(pairs)
-
-
 JUMP = (13**2 + 19**2 + 6**2) / 229 + (2**2 + 7**2 + 5**2) / 38
+FORCE_STEP, RATE_STEP = math.sqrt(0.13 * JUMP * 229), math.sqrt(0.13 * JUMP * 38)
 
 
-@pytest.mark.parametrize("at", [4, 5])
-def test_steps_after_it_are_below_an_eighth_of_it(at: int) -> None:
-    force, rate = math.sqrt(0.13 * JUMP * 229), math.sqrt(0.13 * JUMP * 38)
-    assert unsmooth(at, 0.999 * force, False) == [5]
-    assert unsmooth(at, 1.001 * force, False) == []
-    assert unsmooth(at, 0.999 * rate, True) == [5]
-    assert unsmooth(at, 1.001 * rate, True) == []
-
-
-def test_a_step_after_those_does_not_matter() -> None:
-    assert unsmooth(6, 50.0, False) == [5]
-
-
-@pytest.mark.parametrize("of_rate", [False, True])
-def test_the_step_before_it_is_below_an_eighth_of_it(of_rate: bool) -> None:
-    size = math.sqrt(0.13 * JUMP * (38 if of_rate else 229))
-
-    def with_step(by: float) -> list[int]:
-        first = (FORCE, moved(RATE, by, 2)) if of_rate else (moved(FORCE, by, 2), RATE)
-        return told([first] * 2 + [(FORCE, RATE)] + [TURNED] * 3)
-
-    assert with_step(0.999 * size) == [5]
-    assert with_step(1.001 * size) == []
+@pytest.mark.parametrize("at", [2, 4, 5])
+@pytest.mark.parametrize("by", [(FORCE_STEP, 0.0), (0.0, RATE_STEP)], ids=["force", "rate"])
+@pytest.mark.parametrize(("share", "is_told"), [(0.999, True), (1.001, False)])
+def test_the_steps_about_it_are_below_an_eighth_of_it(
+    at: int, by: tuple[float, float], share: float, is_told: bool
+) -> None:
+    """A jump by 566/229 + 78/38 at sample 3, and a step at another sample; one after those does not matter."""
+    pairs = [(FORCE, RATE)] * 3 + [TURNED] * 4
+    for k in range(at) if at < 3 else range(at, len(pairs)):
+        acc, gyr = pairs[k]
+        pairs[k] = moved(acc, share * by[0], 2), moved(gyr, share * by[1], 2)
+    assert told(pairs) == [5] * is_told
+    assert told([*pairs[:6], (moved(pairs[5][0], 50.0, 2), pairs[5][1])]) == [5] * is_told
 
 
 @pytest.mark.parametrize("of_rate", [False, True])
 def test_a_jump_has_a_least_size(of_rate: bool) -> None:
     """Two axes exchanged that are nearly alike: force (f, f + d) to (f + d, f) jumps by 2 d²."""
-
-    def of(d: float) -> list[int]:
-        one, other = (5.0, -5.0 + d, 0.0), (-5.0 + d, 5.0, 0.0)
-        zero = (0.0, 0.0, 0.0)
-        still, turned = ((zero, one), (zero, other)) if of_rate else ((one, zero), (other, zero))
-        return told([still] * 2 + [turned] * 3)
-
     # size squared 25 + (d - 5)², jump 2 (10 - d)²
     limit = next(d / 1000 for d in range(10_000) if 2 * (10 - d / 1000) ** 2 < 0.7 * (25 + (d / 1000 - 5) ** 2))
-    assert of(limit - 0.002) == [4]
-    assert of(limit) == []
+    for d, at in ((limit - 0.002, [4]), (limit, [])):
+        one, other = (5.0, -5.0 + d, 0.0), (-5.0 + d, 5.0, 0.0)
+        still, turned = ((ZERO, one), (ZERO, other)) if of_rate else ((one, ZERO), (other, ZERO))
+        assert told([still] * 2 + [turned] * 3) == at
 
 
-def test_small_forces_and_rates_do_not_count_as_jumps() -> None:
+@pytest.mark.parametrize("bounds", [{}, *({"least_force2": each**2, "least_rate2": each**2} for each in (2.0, 3.0))])
+@pytest.mark.parametrize(("share", "at"), [(0.593, [4]), (0.590, [])])
+def test_small_forces_and_rates_do_not_count_as_jumps(bounds: dict[str, float], share: float, at: list[int]) -> None:
     """Of the least size, two axes exchanged jump by 2; a size of 0.5916 of it just reaches 0.7."""
-    zero = (0.0, 0.0, 0.0)
-    for share, expected in ((0.593, [4]), (0.590, [])):
-        force, rate = share * LEAST_FORCE, share * LEAST_RATE
-        assert told([((force, 0.0, 0.0), zero)] * 2 + [((0.0, force, 0.0), zero)] * 3) == expected
-        assert told([(zero, (rate, 0.0, 0.0))] * 2 + [(zero, (0.0, rate, 0.0))] * 3) == expected
+    least = BOUNDS._replace(**bounds)
+    force, rate = share * math.sqrt(least.least_force2), share * math.sqrt(least.least_rate2)
+    assert told([((force, 0.0, 0.0), ZERO)] * 2 + [((0.0, force, 0.0), ZERO)] * 3, **bounds) == at
+    assert told([(ZERO, (rate, 0.0, 0.0))] * 2 + [(ZERO, (0.0, rate, 0.0))] * 3, **bounds) == at
 
 
-def test_the_larger_of_both_sizes_counts() -> None:
-    """A force that vanishes leaves nothing that an exchange could not explain, and jumps by its own size at most."""
-    zero = (0.0, 0.0, 0.0)
-    assert told([(FORCE, zero)] * 2 + [(zero, zero)] * 3) == []
-    assert told([(zero, zero)] * 2 + [(FORCE, zero)] * 3) == []
-    assert told([(zero, RATE)] * 2 + [(zero, zero)] * 3) == []
-    assert told([(zero, zero)] * 2 + [(zero, RATE)] * 3) == []
+@pytest.mark.parametrize("some", [(FORCE, ZERO), (ZERO, RATE)])
+def test_the_larger_of_both_sizes_counts(some: Pair) -> None:
+    """What vanishes leaves nothing that an exchange could not explain, and jumps by its own size at most."""
+    assert told([some] * 2 + [(ZERO, ZERO)] * 3) == []
+    assert told([(ZERO, ZERO)] * 2 + [some] * 3) == []
 
 
 def test_at_a_bound_it_is_still_told() -> None:
     """With bounds that binary numbers can hold: the jump is 2 of its size, or 3 halves with a third of them left."""
-    zero, along, across = (0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 0.0)
+    zero, along, across = ZERO, (4.0, 0.0, 0.0), (0.0, 4.0, 0.0)
     jump: dict[str, Any] = {"least_jump": 2.0}
     assert told([(along, zero)] * 2 + [(across, zero)] * 3, **jump) == [4]
     jump["smooth"] = 0.125
@@ -244,29 +215,6 @@ def test_at_a_bound_it_is_still_told() -> None:
     assert told([(along, zero)] * 2 + [(across, zero)] + [(moved(across, 2.0, 2), zero)] * 2, **jump) == [4]
     assert told([(along, zero)] * 2 + [((0.0, 4.0, 4.0), zero)] * 3, smooth=0.125, explained=1 / 3) == [4]
     assert told([(along, zero)] * 2 + [(across, zero)] * 3, smooth=0.125, against=0.0) == [4]
-
-
-@pytest.mark.parametrize("least", [2.0, 3.0])
-def test_the_least_sizes_are_squared(least: float) -> None:
-    zero = (0.0, 0.0, 0.0)
-    for share, expected in ((0.593, [4]), (0.590, [])):
-        size = share * least
-        assert (
-            told(
-                [((size, 0.0, 0.0), zero)] * 2 + [((0.0, size, 0.0), zero)] * 3,
-                least_force2=least**2,
-                least_rate2=least**2,
-            )
-            == expected
-        )
-        assert (
-            told(
-                [(zero, (size, 0.0, 0.0))] * 2 + [(zero, (0.0, size, 0.0))] * 3,
-                least_force2=least**2,
-                least_rate2=least**2,
-            )
-            == expected
-        )
 
 
 @pytest.mark.parametrize(

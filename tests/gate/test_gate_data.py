@@ -16,7 +16,7 @@ from gate_bench import (
 
 from fes.config import ImuDevice
 from fes.gate import Flagged
-from fes.signals import G_MPS2, NS_PER_S, ImuSample, OperatorAction, Tick
+from fes.signals import G_MPS2, NS_PER_S, ImuSample, OperatorAction, Tick, Vector3
 
 
 @pytest.fixture
@@ -75,14 +75,21 @@ def test_what_was_before_a_silence_says_nothing_of_the_unit_after_it(bench: Benc
 @pytest.mark.requirement("SR-10")
 def test_the_shank_that_drives_a_foot_latches_and_that_foots_own_sensor_is_then_only_recorded() -> None:
     bench = Bench(arm=False, shank_phase_sensors={"left_foot": "left_shank"})
-    bench.sample(sensor="left_shank")
+    bench.sample()
     bench.act(OperatorAction.ARM)
+    assert bench.gate.arming_refused == "no data from left_shank"
+    bench.sample(sensor="left_shank", gyr_radps=(0.0, 0.0, 1.0))
+    bench.rearm()
     bench.off()
     bench.wait(20, sampling=False)
     bench.sample(acc_mps2=(math.nan, 0.0, 0.0))
     bench.sample(sensor="left_shank")
     assert bench.ask(current_ma=5.0).on
     assert list(bench.gate.flagged) == ["left_foot"]
+    bench.wait(100)
+    assert_latched(bench, bench.ask(current_ma=1.0), "left_shank data 100 ms old")
+    bench.sample(sensor="left_shank")
+    bench.rearm()
     bench.sample(sensor="left_shank", acc_mps2=(math.nan, 0.0, 0.0))
     assert bench.gate.latched == "non-finite sample from left_shank"
 
@@ -197,19 +204,9 @@ def test_sensor_that_restarts_latches_and_can_be_armed_again(bench: Bench) -> No
     bench.rearm()
 
 
-def test_clock_set_ahead_latches_and_can_be_armed_again(bench: Bench) -> None:
-    bench.wait(600)
-    bench.wait(600)
-    for _ in range(3):
-        bench.wait(8, sampling=False)
-        bench.sample(t_sensor_ns=bench.t_ns + 897 * MS)
-    assert_latched(bench, bench.ask(), "left_foot's clock went ahead by 900 ms")
-    bench.rearm()
-
-
 @pytest.mark.requirement("SR-11")
 @pytest.mark.parametrize("wild_ms", [10_000, 45, -45, -10_000])
-def test_one_wild_stamp_is_counted_and_has_no_effect(bench: Bench, wild_ms: int) -> None:
+def test_one_wild_stamp_has_no_effect(bench: Bench, wild_ms: int) -> None:
     for _ in range(60):
         bench.wait(20)
     bench.wait(20, sampling=False)
@@ -218,7 +215,6 @@ def test_one_wild_stamp_is_counted_and_has_no_effect(bench: Bench, wild_ms: int)
         assert bench.ask(current_ma=1.0).on
         bench.wait(20)
     assert bench.gate.latched == ""
-    assert bench.gate.stamps.slips["left_foot"] in (1, 2), "there, and back again"
 
 
 @pytest.mark.requirement("SR-11")
@@ -250,8 +246,8 @@ def test_more_than_one_in_twenty_stamps_out_of_order_latches_within_a_second(
 def test_time_running_backward_between_events_latches(bench: Bench) -> None:
     bench.observe(Tick(bench.t_ns))
     assert bench.gate.armed, "the same time again is no step back"
-    bench.observe(Tick(bench.t_ns - 2 * MS))
-    assert bench.gate.latched == "time ran backward by 2 ms"
+    bench.observe(Tick(bench.t_ns - 1_375_000))
+    assert (bench.gate.latched, bench.gate.latched_ns) == ("time ran backward by 1.38 ms", bench.t_ns - 1_375_000)
 
 
 def test_arming_from_the_past_does_not_stand(bench: Bench) -> None:
@@ -269,9 +265,7 @@ def test_judging_in_the_past_latches(bench: Bench, before: str) -> None:
     else:
         bench.off()
     bench.t_ns -= MS
-    command = bench.ask(current_ma=0.5)
-    assert command.refused == "time ran backward by 1 ms"
-    assert not command.on
+    assert_latched(bench, bench.ask(current_ma=0.5), "time ran backward by 1 ms")
 
 
 def test_data_dated_ahead_do_not_arm(bench: Bench) -> None:
@@ -334,7 +328,7 @@ DEVICE = ImuDevice(sensor="left_foot", device="xbus", port="tty", rate_hz=100, a
 WITHIN = 80  # ms that something must last to count
 
 
-def send(bench: Bench, ms: int, acc: tuple[float, float, float], gyr: tuple[float, float, float]) -> str:
+def send(bench: Bench, ms: int, acc: Vector3, gyr: Vector3) -> str:
     """The same numbers, with a living sensor's noise, every 4 ms; what latched."""
     for _ in range(ms // 4):
         bench.wait(4, sampling=False)
@@ -357,17 +351,13 @@ WRONG_UNITS = [
 
 @pytest.mark.requirement("SR-10")
 @pytest.mark.parametrize(("acc", "gyr", "says"), IMPOSSIBLE)
-def test_what_cannot_be_latches_within_100_ms_and_no_sooner_than_80(
-    acc: tuple[float, float, float], gyr: tuple[float, float, float], says: str
-) -> None:
+def test_what_cannot_be_latches_within_100_ms_and_no_sooner_than_80(acc: Vector3, gyr: Vector3, says: str) -> None:
     assert send(Bench(devices=(NARROW,)), WITHIN, acc, gyr) == ""
     assert re.search(says, send(Bench(devices=(NARROW,)), WITHIN + 4, acc, gyr))
 
 
 @pytest.mark.parametrize(("acc", "gyr", "says"), IMPOSSIBLE)
-def test_what_is_interrupted_is_no_fault(
-    acc: tuple[float, float, float], gyr: tuple[float, float, float], says: str
-) -> None:
+def test_what_is_interrupted_is_no_fault(acc: Vector3, gyr: Vector3, says: str) -> None:
     bench = Bench(devices=(NARROW,))
     for _ in range(10):
         send(bench, WITHIN, acc, gyr)
@@ -375,18 +365,15 @@ def test_what_is_interrupted_is_no_fault(
     assert bench.gate.latched == ""
 
 
-def swing(t_ns: int) -> tuple[float, float, float]:
+def swing(t_ns: int) -> Vector3:
     """A brisk one: 14 to 46 m/s², nearly five times gravity."""
-    return (
-        30.0 + 16.0 * math.sin(2 * math.pi * 3.0 * t_ns / NS_PER_S),
-        0.0,
-        2.0 + 4.0 * math.cos(2 * math.pi * 3.0 * t_ns / NS_PER_S),
-    )
+    angle = 6 * math.pi * t_ns / NS_PER_S
+    return (30.0 + 16.0 * math.sin(angle), 0.0, 2.0 + 4.0 * math.cos(angle))
 
 
-def turn(t_ns: int) -> tuple[float, float, float]:
+def turn(t_ns: int) -> Vector3:
     """What a gyroscope tells of it."""
-    return (0.0, 4.0 * math.cos(2 * math.pi * 3.0 * t_ns / NS_PER_S), 0.0)
+    return (0.0, 4.0 * math.cos(6 * math.pi * t_ns / NS_PER_S), 0.0)
 
 
 @pytest.mark.requirement("SR-10")
@@ -434,10 +421,6 @@ def test_a_foot_that_falls_now_and_then_is_no_fault(bench: Bench) -> None:
     assert bench.gate.latched == ""
 
 
-def test_saturation_needs_the_ranges() -> None:
-    assert send(Bench(), 200, (0.0, 0.0, -39.2), (0.0, 0.0, 0.0)) == ""
-
-
 @pytest.mark.requirement("SR-10")
 def test_degrees_of_a_slow_turn_latch_within_100_ms(bench: Bench) -> None:
     assert send(bench, WITHIN, (0.0, 0.0, 9.8), (0.0, -15.1, 0.0)) == ""
@@ -467,9 +450,7 @@ def test_sensor_that_rests_turned_over_cannot_time_a_burst(tilt_deg: float, pass
 @pytest.mark.parametrize(
     ("acc", "gyr"), [((0.0, 0.0, -12.0), (0.0, 0.0, 0.0)), ((0.0, 0.0, -9.8), (0.0, 0.6, 0.0))], ids=["force", "rate"]
 )
-def test_a_moving_foot_may_be_turned_over_for_a_moment(
-    acc: tuple[float, float, float], gyr: tuple[float, float, float]
-) -> None:
+def test_a_moving_foot_may_be_turned_over_for_a_moment(acc: Vector3, gyr: Vector3) -> None:
     bench = Bench(up={"left_foot": (0.0, 0.0, 1.0)})
     send(bench, 100, acc, gyr)
     assert bench.ask(current_ma=1.0).on
@@ -506,17 +487,3 @@ def test_axes_exchanged_in_a_burst_latch_within_100_ms(bench: Bench) -> None:
         turned = k >= 10
         bench.sample(acc_mps2=(y, z, x) if turned else (x, y, z), gyr_radps=(q, r, p) if turned else (p, q, r))
     assert_latched(bench, bench.ask(current_ma=0.5), "the axes of left_foot changed from one sample to the next")
-
-
-def test_shank_that_drives_a_foots_channel_is_the_one_that_counts() -> None:
-    bench = Bench(arm=False, shank_phase_sensors={"left_foot": "left_shank"})
-    bench.sample()
-    bench.act(OperatorAction.ARM)
-    assert bench.gate.arming_refused == "no data from left_shank"
-    bench.sample(sensor="left_shank", gyr_radps=(0.0, 0.0, 1.0))
-    bench.rearm()
-    bench.off()
-    assert bench.ask(current_ma=0.5).on
-    for _ in range(5):
-        bench.wait(20)
-    assert_latched(bench, bench.ask(current_ma=1.0), "left_shank data 100 ms old")

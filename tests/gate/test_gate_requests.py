@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -25,7 +26,7 @@ from gate_bench import (
 
 import fes.gate
 from fes import limits
-from fes.signals import OperatorAction, StimRequest
+from fes.signals import OperatorAction, StimCommand, StimRequest
 
 HUGE: Any = pytest.param(10**5000, id="huge")  # too long for Python to print
 
@@ -46,10 +47,20 @@ def test_no_number_latches_and_never_raises(bench: Bench, field: str, value: Any
     assert_latched(bench, bench.judge(replace(ASKED, **{field: value})), "must be a number above 0")
 
 
-@pytest.mark.parametrize("on", [1, None, "yes", np.True_, HUGE])
-def test_on_must_be_true_or_false(bench: Bench, on: Any) -> None:
+@pytest.mark.parametrize(
+    ("on", "shown"),
+    [
+        (1, "1"),
+        (None, "None"),
+        ("yes", "'yes'"),
+        (np.True_, "np.True_"),
+        pytest.param(10**5000, "a huge number", id="huge"),
+    ],
+)
+def test_on_must_be_true_or_false(bench: Bench, on: Any, shown: str) -> None:
     bench.wait(20)
-    assert_latched(bench, bench.judge(replace(ASKED, on=on)), "must be true or false")
+    command = bench.judge(replace(ASKED, on=on))
+    assert_latched(bench, command, f"channel 0: on is {shown}, must be true or false")
 
 
 @pytest.mark.parametrize("number", [1, 7, -1])
@@ -192,31 +203,70 @@ def test_a_gap_without_a_command_grants_no_rise(rise_ma_per_s: float, gap_ms: in
             assert_latched(bench, command, "rise to 1 mA too fast, at most 0.5 mA by now")
 
 
-@pytest.mark.requirement("SR-05")
-def test_a_command_that_ran_out_grants_no_rise_either() -> None:
-    bench = Bench(risen=False)
-    bench.wait(10)
-    assert bench.ask(current_ma=0.5).on
-    bench.wait(61)
-    assert_held(bench, bench.ask(current_ma=20.0), "off for 0.001 s")
-    bench.wait(100)
-    assert_held(bench, bench.ask(current_ma=1.0), "rise to 1 mA too fast, at most 0.5 mA by now")
-    assert bench.ask(current_ma=0.5).on
+# so many ms pass; or so many mA are asked for, and let out, or held back or latched for a reason; or off is asked for
+OFF = "off"
+Step = float | str | tuple[float] | tuple[float, Callable[[Bench, StimCommand, str], None], str]
+SLOW = {"limits": {"max_rise_ma_per_s": 200.0}}
+BURSTS: dict[str, tuple[Callable[[], Bench], list[Step]]] = {
+    "a command that ran out grants no rise either": (lambda: Bench(risen=False), [
+        10, (0.5,), 61, (20.0, assert_held, "off for 0.001 s"),
+        100, (1.0, assert_held, "rise to 1 mA too fast, at most 0.5 mA by now"), (0.5,),
+    ]),
+    "within one instant a rise is one step, however often asked": (Bench, [
+        (0.5,), (0.5,), (1.0, assert_latched, "rise"),
+    ]),
+    "the absolute limit of the rise holds": (lambda: Bench(unchecked_channel(**LOOSE)), [
+        5, (10.5,), 5, (21.5, assert_latched, "at most 20.5 mA"),
+    ]),
+    "within a burst time without commands counts as one validity": (
+        lambda: Bench(make_channel(**SLOW), risen=False), [(0.5,), 60, (12.5,)]
+    ),
+    "and no longer": (lambda: Bench(make_channel(**SLOW), risen=False), [
+        (0.5,), 60, (13.0, assert_latched, "at most 12.5 mA by now")
+    ]),
+    "a fall may be as steep as it likes, and the rise again counts from there": (Bench, [
+        20, (20.0,), 1, (2.0,), 10, (13.0, assert_latched, "at most 12.5 mA"),
+    ]),
+    "the absolute on time holds": (lambda: Bench(unchecked_channel(**LOOSE)), [
+        20, (20.0,), *([20, (20.0,)] * 150), 20, (20.0, assert_latched, "on for 3.02 s, limit 3 s"),
+    ]),
+    "the absolute off time holds": (lambda: Bench(unchecked_channel(**LOOSE)), [
+        20, (5.0,), OFF, 49, (0.5, assert_held, "off for 0.049 s, at least 0.05 s"), 1, (0.5,),
+    ]),
+    "a burst held back that missed its ramp waits for the next": (Bench, [
+        20, (20.0,), OFF, 10, (10.0, assert_held, "off for 0.01 s"),
+        *([10, (20.0, assert_held, "off for 0.0")] * 8),
+        *([10, (20.0, assert_held, "rise to 20 mA too fast, at most 10.5 mA by now")] * 5),
+        OFF, 10, (10.0,),
+    ]),
+    "a held back burst has no other privilege": (Bench, [
+        20, (20.0,), OFF, 20, (10.0, assert_held, "off for"), 20, (31.0, assert_latched, "current 31 mA"),
+    ]),
+    "a command that ran out ends the burst": (lambda: ready(make_channel(**SLOW), 12.0), [
+        (12.0,), 60, (24.0,),  # held to its last moment
+        61, (24.0, assert_held, "off for 0.001 s"),
+        99, (24.0, assert_held, "rise to 24 mA too fast, at most 4.5 mA by now"),
+        OFF, 20, (4.0,),
+    ]),
+}  # fmt: skip
 
 
-def test_rise_within_one_instant_is_one_step_however_often_asked(bench: Bench) -> None:
-    assert bench.ask(current_ma=0.5).on
-    assert bench.ask(current_ma=0.5).on
-    assert_latched(bench, bench.ask(current_ma=1.0), "rise")
-
-
-def test_first_command_ever_may_be_one_step() -> None:
-    for current_ma, passes in ((0.5, True), (1.0, False)):
-        bench = Bench(arm=False)
-        bench.sample()
-        bench.rearm()
-        assert bench.ask(current_ma=current_ma).on is passes
-        assert bool(bench.gate.latched) is not passes
+@pytest.mark.requirement("SR-05", "SR-06")
+@pytest.mark.parametrize("what", BURSTS)
+def test_a_bursts_rise_and_times(what: str) -> None:
+    begin, steps = BURSTS[what]
+    bench = begin()
+    for step in steps:
+        if isinstance(step, tuple):
+            command = bench.ask(current_ma=step[0])
+            if len(step) == 1:
+                assert command.on, command.refused
+            else:
+                step[1](bench, command, step[2])
+        elif isinstance(step, str):
+            bench.off()
+        else:
+            bench.wait(step)
 
 
 @pytest.mark.requirement("SR-05")
@@ -233,33 +283,6 @@ def test_the_step_that_is_granted_is_the_devices_own_within_bounds(step_ma: floa
         assert bool(bench.gate.latched) is (current_ma != most_ma)
 
 
-@pytest.mark.requirement("SR-05")
-def test_absolute_rise_limit_holds() -> None:
-    channel = unchecked_channel(**LOOSE)
-    bench = Bench(channel)
-    bench.wait(5)
-    assert bench.ask(current_ma=10.5).on
-    bench.wait(5)
-    assert_latched(bench, bench.ask(current_ma=21.5), "at most 20.5 mA")
-
-
-def test_within_a_burst_time_without_commands_counts_as_one_validity_at_most() -> None:
-    for current_ma, passes in ((12.5, True), (13.0, False)):
-        bench = Bench(make_channel(limits={"max_rise_ma_per_s": 200.0}), risen=False)
-        assert bench.ask(current_ma=0.5).on
-        bench.wait(60)
-        assert bench.ask(current_ma=current_ma).on is passes
-
-
-def test_fall_and_rise_again_within_a_burst(bench: Bench) -> None:
-    bench.wait(20)
-    assert bench.ask(current_ma=20.0).on
-    bench.wait(1)
-    assert bench.ask(current_ma=2.0).on, "a fall may be as steep as it likes"
-    bench.wait(10)
-    assert_latched(bench, bench.ask(current_ma=13.0), "at most 12.5 mA")
-
-
 # --- times on and off ----------------------------------------------------------------------------------------------
 
 
@@ -270,16 +293,6 @@ def test_burst_may_last_its_limit_and_no_longer(bench: Bench) -> None:
     assert all(command.on for command in bench.hold(2.0))
     bench.wait(10)
     assert_latched(bench, bench.ask(), "channel 0: on for 2.01 s, limit 2 s")
-
-
-@pytest.mark.requirement("SR-06")
-def test_absolute_on_time_holds() -> None:
-    bench = Bench(unchecked_channel(**LOOSE))
-    bench.wait(20)
-    assert bench.ask().on
-    assert all(command.on for command in bench.hold(3.0))
-    bench.wait(20)
-    assert_latched(bench, bench.ask(), "on for 3.02 s, limit 3 s")
 
 
 @pytest.mark.requirement("SR-06")
@@ -294,45 +307,6 @@ def test_next_burst_must_wait_and_may_then_start_late(bench: Bench) -> None:
     assert_held(bench, bench.ask(current_ma=0.5), "off for 0.099 s")
     bench.wait(1)
     assert bench.ask(current_ma=0.5).on
-
-
-@pytest.mark.requirement("SR-06")
-def test_absolute_off_time_holds() -> None:
-    bench = Bench(unchecked_channel(**LOOSE))
-    bench.wait(20)
-    assert bench.ask(current_ma=5.0).on
-    bench.off()
-    bench.wait(49)
-    assert_held(bench, bench.ask(current_ma=0.5), "off for 0.049 s, at least 0.05 s")
-    bench.wait(1)
-    assert bench.ask(current_ma=0.5).on
-
-
-def test_burst_held_back_that_missed_its_ramp_waits_for_the_next(bench: Bench) -> None:
-    bench.wait(20)
-    assert bench.ask().on
-    bench.off()
-    bench.wait(10)
-    assert_held(bench, bench.ask(current_ma=10.0), "off for 0.01 s")
-    for _ in range(8):
-        bench.wait(10)
-        assert_held(bench, bench.ask(current_ma=20.0), "off for 0.0")
-    for _ in range(5):
-        bench.wait(10)
-        assert_held(bench, bench.ask(current_ma=20.0), "rise to 20 mA too fast, at most 10.5 mA by now")
-    bench.off()
-    bench.wait(10)
-    assert bench.ask(current_ma=10.0).on
-
-
-def test_a_held_back_burst_has_no_other_privilege(bench: Bench) -> None:
-    bench.wait(20)
-    assert bench.ask().on
-    bench.off()
-    bench.wait(20)
-    assert_held(bench, bench.ask(current_ma=10.0), "off for")
-    bench.wait(20)
-    assert_latched(bench, bench.ask(current_ma=31.0), "current 31 mA")
 
 
 @pytest.mark.requirement("SR-05")
@@ -359,20 +333,6 @@ def test_arming_in_the_middle_of_a_burst_neither_starts_it_nor_latches(bench: Be
     bench.off()
     bench.wait(20)
     assert bench.ask(current_ma=20.0).on
-
-
-def test_command_that_ran_out_ends_the_burst() -> None:
-    bench = ready(make_channel(limits={"max_rise_ma_per_s": 200.0}), 12.0)
-    assert bench.ask(current_ma=12.0).on
-    bench.wait(60)
-    assert bench.ask(current_ma=24.0).on, "held to its last moment"
-    bench.wait(61)
-    assert_held(bench, bench.ask(current_ma=24.0), "off for 0.001 s")
-    bench.wait(99)
-    assert_held(bench, bench.ask(current_ma=24.0), "rise to 24 mA too fast, at most 4.5 mA by now")
-    bench.off()
-    bench.wait(20)
-    assert bench.ask(current_ma=4.0).on
 
 
 # --- charge within a minute ----------------------------------------------------------------------------------------

@@ -326,29 +326,12 @@ def test_two_feet_do_not_share_a_phase() -> None:
     assert (left.phase, right.phase) == (Phase.PRE_SWING, Phase.STANCE)
 
 
-# --- priority: of two rows that leave a phase, the first in the table goes -------------------------------
+# --- compiled and plain guards agree ---------------------------------------------------------------------
 
 
 def by_the_table(phase: Phase, x: Features, p: Thresholds) -> int:
+    """Of two rows that leave a phase, the first in the table goes."""
     return next((row.transition.value for row in TABLE if row.source is phase and row.guard(x, p)), 0)
-
-
-def test_contact_goes_before_rest() -> None:
-    """T3 before T6: a contact that was seen is worth more than a rest that only seems."""
-    both = CONTACT._replace(resting_s=RESTING.resting_s)
-    assert guards.t3(both, P)
-    assert guards.t6(both, P)
-    assert kernel.first_transition(Phase.SWING, both, P) == Transition.T3
-
-
-def test_toe_off_goes_before_a_heel_put_back() -> None:
-    both = TOE_OFF._replace(resting_s=RESTING.resting_s)
-    assert guards.t2(both, P)
-    assert guards.t5(both, P)
-    assert kernel.first_transition(Phase.PRE_SWING, both, P) == Transition.T2
-
-
-# --- compiled and plain guards agree ---------------------------------------------------------------------
 
 
 def _grid() -> list[tuple[Any, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import pytest
+from test_plan import ENDS
 
 from fes.stimulation.onset import (
     EACH_ONSET,
@@ -18,13 +19,9 @@ from fes.stimulation.onset import (
     PROVEN_FROM,
     OnsetPredictor,
 )
-from statemachine.phases import Phase, PhaseChange, Transition
+from statemachine.phases import PhaseChange, Transition
 
 STEP_MS, LOADING_MS, SWING_MS, STANCE_MS, RISING_MS = 5, 100, 500, 700, 100
-DESTINATION = {
-    Transition.T1: Phase.PRE_SWING, Transition.T2: Phase.SWING, Transition.T3: Phase.LOADING_RESPONSE,
-    Transition.T4: Phase.STANCE, Transition.T5: Phase.STANCE, Transition.NONE: Phase.STANCE,
-}  # fmt: skip
 
 
 class Foot:
@@ -36,9 +33,13 @@ class Foot:
         self.said: list[tuple[str, str, str]] = []
 
     def change(self, transition: Transition, *, permitted: bool = True) -> None:
-        to = DESTINATION[transition]
-        self.onset.on_phase(PhaseChange(self.t_ms * MS, "left_foot", transition, Phase.STANCE, to), permitted)
+        self.onset.on_phase(PhaseChange(self.t_ms * MS, "left_foot", transition, *ENDS[transition]), permitted)
         self._listen()
+
+    def land(self) -> None:
+        self.change(Transition.T3)
+        self.t_ms += LOADING_MS
+        self.change(Transition.T4)
 
     def stand(self, for_ms: int, rises_in_ms: int | None) -> None:
         """Samples of stance; the heel is to rise so long after their beginning, None: not at all."""
@@ -52,9 +53,7 @@ class Foot:
 
     def step(self, stance_ms: int = STANCE_MS, *, permitted: bool = True) -> None:
         """From contact to the next one's beginning; ``stance_ms`` from contact to heel rise."""
-        self.change(Transition.T3)
-        self.t_ms += LOADING_MS
-        self.change(Transition.T4)
+        self.land()
         self.stand(stance_ms - LOADING_MS, stance_ms - LOADING_MS)
         self.change(Transition.T1, permitted=permitted)
         self.t_ms += SWING_MS // 2
@@ -121,9 +120,7 @@ def test_what_was_expected_and_what_came_is_told_of_each_stride_in_use_and_of_no
 def test_a_foot_that_has_not_begun_to_turn_starts_nothing_however_long_it_stands(late_ms: int) -> None:
     foot = walked(STEADY)
     before = len(foot.began_ms)
-    foot.change(Transition.T3)
-    foot.t_ms += LOADING_MS
-    foot.change(Transition.T4)
+    foot.land()
     foot.stand(STANCE_MS + late_ms, None)
     assert len(foot.began_ms) == before
     foot.stand(RISING_MS, RISING_MS)  # and then it does
@@ -132,9 +129,7 @@ def test_a_foot_that_has_not_begun_to_turn_starts_nothing_however_long_it_stands
 
 def false_start(foot: Foot) -> None:
     """The foot turns as before a heel rise, and then stays as it is."""
-    foot.change(Transition.T3)
-    foot.t_ms += LOADING_MS
-    foot.change(Transition.T4)
+    foot.land()
     foot.stand(STANCE_MS - LOADING_MS, STANCE_MS - LOADING_MS)
     foot.stand(FALSE_NS // MS + 50, None)
 
@@ -181,9 +176,7 @@ def test_nothing_starts_in_a_stance_that_no_contact_began(transition: Transition
 def test_nothing_starts_in_a_stance_with_a_gap() -> None:
     foot = walked(STEADY)
     before = len(foot.began_ms)
-    foot.change(Transition.T3)
-    foot.t_ms += LOADING_MS
-    foot.change(Transition.T4)
+    foot.land()
     foot.stand(300, None)
     foot.t_ms += GAP_NS // MS + 10
     foot.stand(300, 300)
@@ -192,9 +185,7 @@ def test_nothing_starts_in_a_stance_with_a_gap() -> None:
 
 def test_samples_from_the_past_change_nothing() -> None:
     foot = walked(STEADY)
-    foot.change(Transition.T3)
-    foot.t_ms += LOADING_MS
-    foot.change(Transition.T4)
+    foot.land()
     assert not foot.onset.starts(foot.t_ms * MS, 9.0, 9.0)
     assert not foot.onset.starts((foot.t_ms - 50) * MS, 9.0, 9.0)
     assert foot.onset.expected_ns is None

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_plan import ENDS
 
 from fes.calibration.recording import calibrate_phase_sensors, save
 from fes.config import Stimulation
@@ -22,7 +23,7 @@ from fes.report.summary import summarise
 from fes.signals import StrideResult
 from fes.stimulation.order import AGAIN, ALIKE, CLOSES_SD, KNOWN, KNOWN_FROM, OrderJudge
 from fes.stimulation.walking import WalkingJudge
-from statemachine.phases import Phase, PhaseChange, Transition
+from statemachine.phases import PhaseChange, Transition
 from tests.replays import replay, trial
 
 FOOT = "left_foot"
@@ -30,15 +31,6 @@ T = Transition
 CYCLE = (T.T1, T.T2, T.T3, T.T4)
 GONE = (T.T1, T.T2, T.T6)
 PUT_BACK = (T.T1, T.T5)
-STEP = {
-    T.T1: (Phase.STANCE, Phase.PRE_SWING),
-    T.T2: (Phase.PRE_SWING, Phase.SWING),
-    T.T3: (Phase.SWING, Phase.LOADING_RESPONSE),
-    T.T4: (Phase.LOADING_RESPONSE, Phase.STANCE),
-    T.T5: (Phase.PRE_SWING, Phase.STANCE),
-    T.T6: (Phase.SWING, Phase.STANCE),
-    T.NONE: (Phase.SWING, Phase.STANCE),
-}
 
 
 def stride(length_m: float = 1.0, reason: str = "", *, valid: bool | None = None) -> StrideResult:
@@ -71,7 +63,7 @@ class Foot:
         return permitted[0]
 
     def _change(self, each: Transition, after_s: float) -> bool:
-        return self.walking.on_phase(PhaseChange(round((self.now_s + after_s) * 1e9), FOOT, each, *STEP[each]))
+        return self.walking.on_phase(PhaseChange(round((self.now_s + after_s) * 1e9), FOOT, each, *ENDS[each]))
 
 
 @pytest.mark.parametrize("after_s", [0.6, 0.8, 1.6, 2.4])

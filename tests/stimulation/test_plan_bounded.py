@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
+from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, TRANSITIONS, Walk, make_channel
 
 from fes.stimulation.plan import GROWS_NS, LASTED, LATER_NS
-from statemachine.phases import PhaseChange, Transition
+from statemachine.phases import PhaseChange
 
 PRE_MS, SWING_MS, REST_MS, EXTENSION_MS, FALL_MS = 200, 400, 600, 60, 100
 
@@ -30,26 +30,19 @@ def step(walk: Walk, pre_ms: int = PRE_MS, swing_ms: int = SWING_MS, seen: bool 
         walk.current(t1_ms + ms)
         for at_ms, phase in told.items():
             if ms == at_ms + late_ms:  # the plan is told when it was, by then
-                entered = PhaseChange((t1_ms + at_ms) * MS, "left_foot", _transition(phase), walk.phase, phase)
-                walk.phase = phase
+                source, walk.phase = walk.phase, phase
+                entered = PhaseChange((t1_ms + at_ms) * MS, "left_foot", TRANSITIONS[source, phase], source, phase)
                 walk.plan.on_phase(entered, permitted=True)
         if walk.current(t1_ms + ms) > 0.0:
             found.append(ms)
     return found
 
 
-def _transition(phase: Any) -> Transition:
-    by_phase = {PRE_SWING: Transition.T1, SWING: Transition.T2, LOADING: Transition.T3, STANCE: Transition.T4}
-    return by_phase[phase]
-
-
 @pytest.mark.requirement("SR-30")
 def test_none_starts_before_its_end_can_be_predicted() -> None:
     walk = bounded()
     assert [bool(step(walk)) for _ in range(5)] == [False, False, False, True, True]
-    lost = PhaseChange(walk.t_ms * MS, "left_foot", Transition.NONE, walk.phase, STANCE)
-    walk.plan.on_phase(lost, permitted=False)
-    walk.phase = STANCE
+    walk.lose()
     assert [bool(step(walk)) for _ in range(4)] == [False, False, False, True]
 
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import Phase as Stage
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from test_plan import LOADING, MS, NEXT, PRE_SWING, STANCE, SWING, TRANSITIONS, make_channel
+from test_plan import LOADING, MS, NEXT, PRE_SWING, STANCE, SWING, TRANSITIONS, make_channel, rising
 
 from fes.stimulation.envelope import BINS, BurstParameters
 from fes.stimulation.plan import StimulationPlan
-from statemachine.phases import Phase, PhaseChange, Transition
+from statemachine.phases import PhaseChange, Transition
 
 ACTS = ("enter", "enter", "enter", "enter", "turn back", "lost", "by hand", "cancel", "tune", "nothing")
 WIDTHS = st.sampled_from([(300.0,) * BINS, (300.0, 300.0, 0.5, *(200.0,) * (BINS - 3)), (0.4,) * BINS])
@@ -58,9 +58,7 @@ def test_due_says_what_asking_would_show(
 @pytest.mark.parametrize("intensity", [1.0, 0.02])
 def test_a_burst_under_way_is_dimmed_at_once_and_ends_on_time(intensity: float) -> None:
     """Half a device's step of current is none: the burst goes off at the very moment the intensity falls."""
-    plan = StimulationPlan((make_channel(),))
-    plan.requests(0, 1.0)
-    plan.on_phase(PhaseChange(MS, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    plan = rising(at_ns=MS)
     plan.requests(150 * MS, 1.0)
     plan.requests(160 * MS, 1.0)
     assert plan.due(170 * MS, intensity) == (intensity < 1.0)
@@ -71,9 +69,7 @@ def test_a_burst_under_way_is_dimmed_at_once_and_ends_on_time(intensity: float) 
 
 
 def test_what_starts_now_is_due_now() -> None:
-    plan = StimulationPlan((make_channel(),))
-    plan.requests(0, 1.0)
-    plan.on_phase(PhaseChange(5 * MS, "left_foot", Transition.T1, Phase.STANCE, PRE_SWING), permitted=True)
+    plan = rising(at_ns=5 * MS)
     assert [plan.due(5 * MS + ns, 1.0) for ns in (-1, 0, 5 * MS)] == [False, True, True]
 
 
@@ -82,50 +78,40 @@ def test_what_starts_now_is_due_now() -> None:
     [(40.0, 300.0, True), (1.0, 300.0, True), (0.9, 300.0, False), (40.0, 1.0, True), (40.0, 0.9, False)],
 )
 def test_one_step_of_the_device_is_enough(frequency_hz: float, width_us: float, on: bool) -> None:
-    channel = make_channel(frequency_hz=frequency_hz, pulse_width_us=width_us)
-    plan = StimulationPlan((channel,))
-    plan.requests(0, 1.0)
-    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    plan = rising(make_channel(frequency_hz=frequency_hz, pulse_width_us=width_us))
     assert plan.due(0, 1.0) == on
     assert [plan.requests(t_ns, 1.0)[0].on for t_ns in (0, 2_499_999, 2_500_000)] == [on, on, on]
 
 
 def test_a_burst_that_goes_on_does_not_hide_another_channel_that_starts() -> None:
-    plan = StimulationPlan((make_channel(0), make_channel(1, "right_foot")))
-    plan.requests(0, 1.0)
-    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    plan = rising(make_channel(0), make_channel(1, "right_foot"))
     plan.requests(100 * MS, 1.0)
     plan.on_phase(PhaseChange(120 * MS, "right_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
     assert [plan.due(t_ms * MS, 1.0) for t_ms in (119, 120, 130)] == [False, True, True]
     assert [one.on for one in plan.requests(130 * MS, 1.0)] == [True, True]
 
 
-def test_pulses_that_become_narrower_than_a_step_end_in_mid_burst() -> None:
+@pytest.mark.parametrize(
+    ("first_us", "asked", "due"),
+    [
+        pytest.param((300.0, 300.0, 0.5), {0: True, 60: True}, {60: 0, 99: 0, 101: 1, 149: 1, 151: 0}, id="a gap"),
+        pytest.param((0.4, 0.4), {0: False}, {50: 0, 99: 0, 101: 1}, id="too narrow at first"),
+    ],
+)
+def test_pulses_narrower_than_a_step_are_none(
+    first_us: tuple[float, ...], asked: dict[int, bool], due: dict[int, int]
+) -> None:
     channel = make_channel()
     plan = StimulationPlan((channel,))
-    narrow = (300.0, 300.0, 0.5, *(200.0,) * (BINS - 3))
-    plan.set_parameters(0, replace(BurstParameters.for_channel(channel), widths_us=narrow))
+    widths_us = (*first_us, *(200.0,) * (BINS - len(first_us)))
+    plan.set_parameters(0, replace(BurstParameters.for_channel(channel), widths_us=widths_us))
     plan.requests(0, 1.0)
     plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
-    assert plan.requests(0, 1.0)[0].on
-    assert plan.requests(60 * MS, 1.0)[0].on
-    assert [plan.due(t_ms * MS, 1.0) for t_ms in (60, 99, 101, 149, 151)] == [False, False, True, True, False]
-
-
-def test_a_burst_whose_first_pulses_are_too_narrow_is_due_when_they_widen() -> None:
-    channel = make_channel()
-    plan = StimulationPlan((channel,))
-    late = (0.4, 0.4, *(200.0,) * (BINS - 2))
-    plan.set_parameters(0, replace(BurstParameters.for_channel(channel), widths_us=late))
-    plan.requests(0, 1.0)
-    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
-    assert not plan.requests(0, 1.0)[0].on
-    assert [plan.due(t_ms * MS, 1.0) for t_ms in (50, 99, 101)] == [False, False, True]
+    assert {t_ms: plan.requests(t_ms * MS, 1.0)[0].on for t_ms in asked} == asked
+    assert {t_ms: plan.due(t_ms * MS, 1.0) for t_ms in due} == due
 
 
 def test_a_channel_of_one_step_is_on_from_its_first_request() -> None:
-    plan = StimulationPlan((make_channel(current_ma=2.0),), current_step_ma=2.0)
-    plan.requests(0, 1.0)
-    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    plan = rising(make_channel(current_ma=2.0), current_step_ma=2.0)
     assert plan.due(0, 1.0)
     assert [plan.requests(t_ms * MS, 1.0)[0].current_ma for t_ms in (0, 50, 100)] == [2.0, 2.0, 2.0]

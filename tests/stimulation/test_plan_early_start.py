@@ -11,7 +11,6 @@ from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
 
 from fes.signals import StimRequest
 from fes.stimulation.onset import FALSE_NS
-from statemachine.phases import PhaseChange, Transition
 
 FALSE_MS = FALSE_NS // MS
 PRE_MS, SWING_MS, REST_MS = 300, 500, 600
@@ -116,7 +115,7 @@ def test_nothing_begins_that_may_not(what: str) -> None:
     else:
         walk.current(walk.t_ms + REST_MS)
     if what == "lost":
-        walk.plan.on_phase(PhaseChange(walk.t_ms * MS, "left_foot", Transition.NONE, STANCE, STANCE), permitted=True)
+        walk.lose()
     walk.intensity = 0.0 if what == "intensity 0" else 1.0
     before = walk.current(walk.t_ms)
     assert not begin(walk, "right_foot" if what == "other foot" else "left_foot")
@@ -133,7 +132,7 @@ def test_what_ends_any_burst_ends_one_that_began_early(what: str) -> None:
     if what == "cancel":
         walk.plan.cancel()
     elif what == "lost":
-        walk.plan.on_phase(PhaseChange(walk.t_ms * MS, "left_foot", Transition.NONE, STANCE, STANCE), permitted=True)
+        walk.lose()
     else:
         walk.enter(PRE_SWING, permitted=False)
     assert walk.plan.due(walk.t_ms * MS, 1.0)
@@ -206,8 +205,8 @@ def test_whatever_the_foot_does_a_burst_that_began_early_is_bounded(
         walk.enter(SWING)
         go(walk.t_ms + swing_ms)
         if how == "lost":
-            walk.plan.on_phase(PhaseChange(walk.t_ms * MS, "left_foot", Transition.NONE, SWING, STANCE), permitted=True)
-            walk.phase, longest_ms = STANCE, 0
+            walk.lose()
+            longest_ms = 0
             assert walk.current(walk.t_ms) == 0.0
             continue
         contact_ms = walk.t_ms

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, make_channel
+from test_plan import LOADING, MS, PRE_SWING, STANCE, make_channel
 
 from fes.config import Channel
-from fes.stimulation.envelope import BIN_S, BurstParameters, Envelope, round_down
+from fes.stimulation.envelope import BIN_S, BurstParameters, Envelope
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -52,13 +52,6 @@ def test_it_is_over_when_the_fall_is_complete_and_the_first_stop_counts() -> Non
     assert [stopped.falls(1000 + RISE + ns) for ns in (-1, 0, 1)] == [False, True, True]
 
 
-def test_rounding_down_where_the_quotient_rounds_up() -> None:
-    assert 17 * 0.1 > 1.7
-    assert round_down(1.7, 0.1) == 16 * 0.1
-    assert round_down(3.4999999999999996, 0.7) == 4 * 0.7
-    assert round_down(0.5, 0.5) == 0.5
-
-
 class Bench:
     """A plan asked at chosen times (ms)."""
 
@@ -72,13 +65,6 @@ class Bench:
     def current(self, at_ms: float, intensity: float = 1.0, number: int = 0) -> float:
         requests = self.plan.requests(round(at_ms * MS), intensity)
         return next(one.current_ma for one in requests if one.channel == number)
-
-
-def test_burst_starts_and_takes_its_intensity_at_the_very_time_it_is_due() -> None:
-    bench = Bench(make_channel(start_delay_s=0.1))
-    bench.enter(20, STANCE, PRE_SWING, Transition.T1)
-    bench.current(120, 0.5)
-    assert bench.current(400, 1.0) == 10.0, "the higher intensity waits for the next burst"
 
 
 def test_least_time_off_counts_from_the_request_that_was_off() -> None:
@@ -99,77 +85,12 @@ def test_least_time_off_counts_from_the_request_that_was_off() -> None:
 # --- by hand ------------------------------------------------------------------------------------------------
 
 
-def test_burst_by_hand_starts_at_its_time_holds_and_falls() -> None:
-    bench = Bench()
-    bench.plan.start(0, 20 * MS, 300 * MS, adopt=False)
-    assert bench.current(20) == 0.5
-    assert bench.current(70) == 10.0
-    assert bench.current(300) == 20.0
-    assert bench.current(380) == 20.0, "60 ms of extension"
-    assert bench.current(430) == 10.0
-    assert bench.current(480) == 0.0
-
-
 def test_burst_by_hand_is_of_the_channel_named_and_of_no_other() -> None:
     bench = Bench(make_channel(0), make_channel(1))
     bench.plan.start(1, 20 * MS, 300 * MS, adopt=False)
     bench.current(20)
     assert bench.current(200, number=1) == 20.0
     assert bench.current(220, number=0) == 0.0
-
-
-def test_burst_by_hand_does_not_restart_one_under_way() -> None:
-    bench = Bench()
-    bench.plan.start(0, 20 * MS, 300 * MS, adopt=False)
-    bench.current(20)
-    bench.plan.start(0, 200 * MS, 300 * MS, adopt=False)
-    assert bench.current(480) == 0.0
-
-
-def walked_into(bench: Bench, adopt: bool, at_ms: float) -> None:
-    """A burst by hand, and the foot that then begins its step."""
-    bench.plan.start(0, 20 * MS, 300 * MS, adopt=adopt)
-    for step_ms in range(20, round(at_ms), 20):
-        bench.current(step_ms)
-    bench.enter(at_ms, STANCE, PRE_SWING, Transition.T1)
-
-
-def test_adopted_burst_becomes_that_of_the_step() -> None:
-    bench = Bench()
-    walked_into(bench, True, 200)
-    assert bench.current(200) == 20.0, "not interrupted"
-    assert bench.current(700) == 20.0, "its hold by hand is forgotten"
-    bench.enter(720, PRE_SWING, SWING, Transition.T2)
-    bench.enter(740, SWING, LOADING, Transition.T3)
-    assert bench.current(790) == 20.0
-    assert bench.current(740 + 60 + 50) == 10.0
-    assert bench.current(740 + 60 + 100) == 0.0
-
-
-def test_burst_not_to_be_adopted_ends_and_the_steps_own_begins() -> None:
-    bench = Bench()
-    walked_into(bench, False, 200)
-    assert bench.current(200) == 0.0
-    assert bench.current(299) == 0.0, "off for the least time"
-    bench.current(320)
-    assert bench.current(500) == 20.0
-
-
-def test_burst_that_falls_already_is_not_adopted() -> None:
-    bench = Bench()
-    walked_into(bench, True, 400)
-    assert bench.current(400) == 0.0
-    bench.current(500)
-    assert bench.current(700) == 20.0, "the step's own"
-
-
-def test_step_without_a_burst_by_hand_starts_its_own_even_after_adopt_was_asked() -> None:
-    bench = Bench()
-    bench.plan.start(0, 300 * MS, 300 * MS, adopt=True)
-    bench.enter(20, STANCE, PRE_SWING, Transition.T1)
-    bench.current(40)
-    assert bench.current(240) == 20.0
-    assert bench.current(900) == 20.0, "a step's burst has no hold"
 
 
 def test_antagonists_that_are_due_at_the_same_moment_do_not_start_together() -> None:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import pytest
 from tuning_plant import BOUNDS, channel, stride, tuning
 
-from fes.config import ConfigError, Tuning
+from fes.config import Channel, ConfigError, Tuning
 from fes.extensions import ExtensionError
 from fes.stimulation.envelope import BINS, BurstParameters
 from fes.stimulation.tuning.held import Tuner, held
@@ -22,21 +22,8 @@ EDGES = BOUNDS | {"extension_s": {"low": 0.0, "high": 0.2}}
 STEPS = {"max_change_ma": 1.7, "max_change_us": 13.0, "max_change_s": 0.012}
 EPSILON = 1e-6
 WRONG: list[Any] = [
-    math.nan,
-    math.inf,
-    -math.inf,
-    1e308,
-    -1e308,
-    -1.0,
-    0.0,
-    "30",
-    None,
-    True,
-    [],
-    3 + 4j,
-    10**400,
-    object(),
-]
+    math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 0.0, "30", None, True, [], 3 + 4j, 10**400, object(),
+]  # fmt: skip
 
 
 class Liar:
@@ -79,6 +66,13 @@ class Always:
 
     def acted(self, what: str, incline: float | None = None) -> None:
         """Nothing to it."""
+
+
+def asking(one: Channel | None = None, **more: float) -> Tuner:
+    """A tuner whose rule asks for 40 mA at every stride; the session has 30."""
+    tuner = Tuner(one or channel(), Always(None), **more)
+    tuner.rule = Always(replace(tuner.start, current_ma=40.0))
+    return tuner
 
 
 def seen_of(number: int, given: BurstParameters, intensity: float = 1.0) -> Seen:
@@ -165,8 +159,7 @@ def test_what_is_no_number_stops_the_tuning(wrong: Any) -> None:
 
 
 def test_a_rule_that_has_stopped_is_stepped_back_to_less_and_asked_no_more() -> None:
-    tuner = Tuner(channel(), Always(None))
-    tuner.rule = Always(replace(tuner.start, current_ma=40.0))
+    tuner = asking()
     for number in range(4):
         tuner.observe(number, seen_of(number, tuner.parameters))
     assert tuner.parameters.current_ma == 38.0
@@ -186,8 +179,7 @@ def test_a_rule_that_has_stopped_is_stepped_back_to_less_and_asked_no_more() -> 
 
 
 def test_below_the_sessions_intensity_nothing_gets_stronger_than_its_own_settings() -> None:
-    tuner = Tuner(channel(), Always(None), usual_intensity=1.0)
-    tuner.rule = Always(replace(tuner.start, current_ma=40.0))
+    tuner = asking(usual_intensity=1.0)
     assert tuner.observe(1, seen_of(1, tuner.start, 0.5)) is None
     assert tuner.parameters == tuner.start
     tuner.observe(2, seen_of(2, tuner.start, 1.0))
@@ -195,8 +187,7 @@ def test_below_the_sessions_intensity_nothing_gets_stronger_than_its_own_setting
 
 
 def test_a_suggestion_waits_for_a_person_and_is_said_once() -> None:
-    tuner = Tuner(channel(tuning(mode="suggest")), Always(None))
-    tuner.rule = Always(replace(tuner.start, current_ma=40.0))
+    tuner = asking(channel(tuning(mode="suggest")))
     first = tuner.observe(1, seen_of(1, tuner.start))
     assert first is not None
     assert first.text == "suggested: more: current 30.0 → 32.0 mA"
@@ -216,8 +207,7 @@ def test_a_suggestion_waits_for_a_person_and_is_said_once() -> None:
     ],
 )
 def test_a_person_has_the_last_word(act: Callable[[Tuner, int], TuningReport], then: str) -> None:
-    tuner = Tuner(channel(), Always(None))
-    tuner.rule = Always(replace(tuner.start, current_ma=40.0))
+    tuner = asking()
     tuner.observe(1, seen_of(1, tuner.start))
     assert then in act(tuner, 2).text
     frozen = tuner.parameters
