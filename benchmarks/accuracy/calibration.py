@@ -20,7 +20,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.orientation import broad
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import feet_of
 from benchmarks.loop.tuning_cohort import chosen
@@ -200,7 +200,6 @@ def main(arguments: list[str] | None = None) -> int:
         feet.append(judged(seed, settings, track))
         if len(sources) < PLANTED:
             sources.append((settings, track, in_room))
-    console = console_of(170)
     counts: dict[str, Counter[str]] = {}
     for name, word, track, source in planted(sources, options.data):
         counts.setdefault(name, Counter())[outcome(word, track, source)] += 1
@@ -214,10 +213,10 @@ def main(arguments: list[str] | None = None) -> int:
         for one in feet
         if one.refused or abs(one.error_deg) > NEAR_DEG
     ]
-    publish(console, [axis_table(feet), table], options, off)
+    publish([axis_table(feet), table], options, off)
     near = sum(abs(one.error_deg) <= NEAR_DEG for one in feet) >= SHARE_NEAR * len(feet)
     signs = not any(abs(one.error_deg) > 90.0 for one in feet)
-    return verdict(console, near and signs and not any(one.refused for one in feet))
+    return verdict(near and signs and not any(one.refused for one in feet))
 
 
 if __name__ == "__main__":

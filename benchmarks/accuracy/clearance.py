@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import MARKERS_HZ, STRAIGHT_RAD, data_folder, gaitmap_markers, gaitmap_walk, trials
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
@@ -202,7 +202,7 @@ def main(arguments: list[str] | None = None) -> int:
         for name, arms in arms_by_geometry(strides).items():
             toe, heel = (" ".join(f"{100.0 * part:+.1f}" for part in arm) for arm in (arms.toe_m, arms.heel_m))
             arms_told.append(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
-    publish(console_of(120), [table], options, arms_told, folder=data_folder())
+    publish([table], options, arms_told, folder=data_folder())
     return 0 if marked_strides(data_folder()) else no_recordings(data_folder())
 
 

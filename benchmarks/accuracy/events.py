@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import Case, bundled_cases, data_folder, gaitmap_cases, load_run, strike_deg
 from benchmarks.lib.walkers import causal
 from fes.calibration.recording import calibrate_track
@@ -200,12 +200,11 @@ def main(arguments: list[str] | None = None) -> int:
          f"{s.mean_ms:+.1f} ± {s.sd_ms:.1f}", *(f"{x:+.0f}" for x in (s.median_ms, s.p95_ms, s.least_ms, s.most_ms))]
         for s in scores
     ]  # fmt: skip
-    console = console_of(170)
-    publish(console, [table_of("", (*columns, "median", "95 %", "least", "most"), rows)], options, lines)
+    publish([table_of("", (*columns, "median", "95 %", "least", "most"), rows)], options, lines)
     if not there:
         return no_recordings(options.data)
     judged = [s for s in scores if s.data == "gaitmap_walk" and s.method in ("off-line", "causal, instants")]
-    return verdict(console, all(map(holds, judged)) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1])
+    return verdict(all(map(holds, judged)) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1])
 
 
 if __name__ == "__main__":

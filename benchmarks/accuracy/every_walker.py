@@ -9,6 +9,7 @@ A refused foot has no stride in order. ``--raw`` keeps everything, so that two v
 
 from __future__ import annotations
 
+import json
 import os
 from collections import defaultdict
 from collections.abc import Iterable
@@ -19,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, save
+from benchmarks.lib.command_line import no_recordings, parser_of, publish
 from benchmarks.lib.real_sets import LAST_S, PathWalk, Walk, data_folder, marker_strides
 from benchmarks.lib.swing_judge import (
     IN_ORDER,
@@ -392,10 +393,11 @@ def main(arguments: list[str] | None = None) -> int:
     found = of_all(judge, feet, options.jobs)
     if not found:
         return no_recordings(options.data)
-    console, groups = console_of(190), groups_of(found)
+    groups = groups_of(found)
     tables = [phases_table(groups), lengths_table(groups), delays_table(found)]
-    publish(console, tables, options, [*strike_lines(found), *low_lines(found)])
-    save([asdict(f) | {"share": f.share} for f in found], options.raw)
+    publish(tables, options, [*strike_lines(found), *low_lines(found)])
+    if options.raw:
+        options.raw.write_text(json.dumps([asdict(f) | {"share": f.share} for f in found]), encoding="utf-8")
     return 0
 
 

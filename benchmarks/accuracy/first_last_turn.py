@@ -20,7 +20,7 @@ from random import Random
 import numpy as np
 
 from benchmarks.accuracy.true_steps import Kind, Step, classified, marker_steps, sensor_steps
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of
+from benchmarks.lib.command_line import parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder, gaitmap_walk, trials
 from benchmarks.lib.walkers import calibrate, causal, feet_of
 from fes.estimation.foot.calibration import CalibrationError
@@ -196,7 +196,7 @@ def main(arguments: list[str] | None = None) -> int:
         "error ms, median [5, 95]", "false T2, T3 /100",
     )  # fmt: skip
     table = table_of("found within 200 ms, causal", columns, rows_of(found, false))
-    publish(console_of(170), [table], options)
+    publish([table], options)
     return 0
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
+from benchmarks.lib.command_line import parser_of, publish, table_of
 from benchmarks.lib.real_sets import data_folder, stairs
 from benchmarks.lib.walkers import SETS, calibrated, feet_of, outcomes_of
 from fes.analysis.pipeline import analyse, calibrations_of
@@ -160,7 +160,7 @@ def main(arguments: list[str] | None = None) -> int:
         middle, sd = np.median(values), 1.4826 * np.median(np.abs(values - np.median(values)))
         rows.append([rise.data_set, str(len(values)), f"{100 * middle:+.1f}", f"{100 * sd:.1f}", str(rise.left_out)])
     table = table_of("", ("data", "strides", "rise, median cm", "SD cm", "left out"), rows)
-    publish(console_of(150), [clearance, table], options)
+    publish([clearance, table], options)
     return 0
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.accuracy.every_walker import Found, against_labels, against_markers
 from benchmarks.accuracy.severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import NAMES, TRIALS, data_folder
 from benchmarks.lib.swing_judge import pairs, score
 from benchmarks.lib.walkers import (
@@ -218,7 +218,7 @@ def main(arguments: list[str] | None = None) -> int:
             + "; cost of all walkers " + ", ".join(f"{v:g}: {np.mean(cost):.1f}" for v, cost in tried)
         )  # fmt: skip
     title = "T1, T3, T4: size of a walker's median error, mean of walkers"
-    publish(console_of(170), [table_of(title, columns, rows)], options, choices)
+    publish([table_of(title, columns, rows)], options, choices)
     return 0
 
 

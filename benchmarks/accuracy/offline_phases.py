@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import NAMES, PathWalk, data_folder, marker_strides, trials
 from benchmarks.lib.swing_judge import pairs
 from benchmarks.lib.walkers import DRIFTING, LYING, calibrated, causal, feet_of, swings_of
@@ -129,7 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
             cells[-2] += f" ({other_deg:.0f}°)"
         rows.append([person, *cells])
     tables.append(table_of("later than the label, median ± SD", ("walker", *columns), rows))
-    publish(console_of(190), tables, options)
+    publish(tables, options)
     return 0
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder, gaitmap_cases, trials
 from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.gait import gait_parameters
@@ -244,9 +244,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"gaitmap_walk against markers, {what} by {by}: {mean:+.1f} ± {sd:.1f} ms, {n} contacts"
             for what, by, mean, sd, n in markers(data_folder())
         ]
-    console = console_of(170)
-    publish(console, [table_of("", ("quantity", "bar", *heads), rows)], options, notes)
-    return verdict(console, not missed)
+    publish([table_of("", ("quantity", "bar", *heads), rows)], options, notes)
+    return verdict(not missed)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.every_walker import TIMES
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import Foot, calibrated, causal, stroke_walks
 from statemachine.phases import PhaseChange, Transition
@@ -190,7 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
         rows.append(["", "b − a", str(apart[0].marks), "", *(x.text for x in apart)])
     title = f"later than the mark, median [5 %, 95 %], and share within ±{CLOSE_MS:.0f} ms"
     columns = ("foot", "against", "swings", "one swing %", *(f"{each.name} ms" for each in TIMES))
-    publish(console_of(170), [table_of(title, columns, rows)], options)
+    publish([table_of(title, columns, rows)], options)
     return 0
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, verdict
+from benchmarks.lib.command_line import parser_of, publish, verdict
 from benchmarks.lib.real_sets import LAST_S, data_folder, gaitmap_feet, load_run, runs_of
 from benchmarks.lib.swing_judge import IN_ORDER, mid_swings
 from benchmarks.lib.walkers import causal
@@ -204,9 +204,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not (paths := runs_of(options.data)):
         return 3
     results, told = [result for path in paths for result in evaluate(path)], tell_all(options.data)
-    console = console_of(150)
-    publish(console, [], options, lines_of(results, told))
-    return verdict(console, holds(results, told))
+    publish([], options, lines_of(results, told))
+    return verdict(holds(results, told))
 
 
 if __name__ == "__main__":

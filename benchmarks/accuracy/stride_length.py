@@ -18,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.signal import medfilt
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import LAST_S, PathWalk, all_walks, data_folder, gaitmap_walk, pyshoe_vicon, stroke_feet
 from fes.analysis.stride_fusion import lengths_along, mean_lengths
 from fes.calibration.recording import calibrate_track
@@ -268,7 +268,7 @@ def main(arguments: list[str] | None = None) -> int:
          f"{np.abs(e).max():.2f}", unit] for name, method, e, unit in sorted(found, key=lambda row: row[0])
     ]  # fmt: skip
     table = table_of("", ("data", "method", "n", "bias", "SD", "RMSE", "worst", "unit"), rows)
-    publish(console_of(120), [table], options, folder=data_folder())
+    publish([table], options, folder=data_folder())
     return 0
 
 

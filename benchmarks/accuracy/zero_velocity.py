@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from benchmarks.accuracy.orientation import rms
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import (
     LAST_S,
     BoolArray,
@@ -174,11 +174,10 @@ def main(words: list[str] | None = None) -> int:
             ],
         ),
     ]  # fmt: skip
-    console = console_of(110)
-    publish(console, tables, options, told)
+    publish(tables, options, told)
     usual = [r for r in detectors if r.threshold == "standing second" and not r.causal]
     held = all(r.f1 >= LEAST_F1[r.detector] for r in usual)
-    return verdict(console, held and all(r.rmse_cm <= LENGTH_BAR_CM[r.data_set] for r in lengths))
+    return verdict(held and all(r.rmse_cm <= LENGTH_BAR_CM[r.data_set] for r in lengths))
 
 
 if __name__ == "__main__":

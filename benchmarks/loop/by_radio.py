@@ -20,7 +20,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.lib.channels import channel
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, spread, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import calibrated
 from benchmarks.loop.predicted_onset import Walked, walks
@@ -402,10 +402,9 @@ def main(arguments: list[str] | None = None) -> int:
     said = f"Bars: at {BAR} {SOONEST:g} % of detected onsets within 40 ms: {bar.within:.1f} %; current for "
     said += f"{most_ms:.0f} ms after the radio goes silent at most: {on_ms.max():.0f} ms; "
     said += f"nothing over a limit: {sum(f.over for f in figures.values())}."
-    console = console_of(200)
-    publish(console, [table, gone], options, [said])
+    publish([table, gone], options, [said])
     held = bar.within >= SOONEST and on_ms.max() <= most_ms and not any(f.over for f in figures.values())
-    return verdict(console, held)
+    return verdict(held)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lib.channels import channel
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, spread, table_of, verdict
 from benchmarks.lib.real_sets import PathWalk, data_folder, marker_strides, trials
 from benchmarks.lib.walkers import DRIFTING, LYING, calibrated, feet_of
 from fes.analysis.swings import find_swings
@@ -259,7 +259,6 @@ def main(arguments: list[str] | None = None) -> int:
             own[lead] = own[lead][0] + early, own[lead][1] + false
         print(walk.group, walk.person, walk.track.sensor, own, file=sys.stderr, flush=True)
     table = table_of("ms, median [5–95 %]", TITLES, rows(groups))
-    console = console_of(220)
     leads = {key: chosen(counts, key[1]) for key in counts}
     total = [sum(by_lead[leads[key]][which] for key, by_lead in counts.items()) for which in (0, 1)]
     every = [
@@ -271,9 +270,9 @@ def main(arguments: list[str] | None = None) -> int:
         f"False starts of all sets by lead: {'; '.join(every)}. Chosen for each person by all others: {picks}; with "
         f"that {total[1]} of {total[0]} starts were false."
     )
-    publish(console, [table], options, [by_lead])
+    publish([table], options, [by_lead])
     held = all(f.false <= MOST_FALSE * max(len(f.before), 100) for f in groups.values())
-    return verdict(console, held)
+    return verdict(held)
 
 
 if __name__ == "__main__":

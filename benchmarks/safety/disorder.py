@@ -23,7 +23,7 @@ from itertools import pairwise
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.swing_judge import in_order
 from benchmarks.lib.walkers import SETS, Foot, calibrate, calibrated, feet_of, swings_of
@@ -335,12 +335,11 @@ def main() -> int:
     parser.add_argument("--patients", type=int, default=60, help="how many virtual ones")
     parser.add_argument("--only", nargs="*", choices=SETS, default=SETS, help="these sets")
     options = parser.parse_args()
-    console = console_of(150)
     results = [*real(feet_of(options.data, options.only)), *virtual(options.patients)]
-    publish(console, tables_of(results), options, named_by_mistake(results))
+    publish(tables_of(results), options, named_by_mistake(results))
     told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
-    return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt))
+    return verdict(float(np.mean(told)) >= SHARE and not any(one.namings for one in belt))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.command_line import parser_of, publish
 from benchmarks.lib.real_sets import data_folder, load_run, runs_of
 from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import tell_sides
@@ -134,7 +134,7 @@ def main() -> None:
             report(f"{name}, treadmill", (load_run(path)[0] for path in runs_of(folder)), table)
         walks = (read_file("stroke_walks", path).recording.tracks for path in floor)  # each foot by its own clock
         report("stroke survivors and others, floor", walks, table)
-    publish(console_of(140), [table], options)
+    publish([table], options)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import calibrated
 from benchmarks.loop.by_radio import EARLY_NS, MS, RATE_HZ, Walk, by_cable, overlap_ns, session_of, stances
@@ -213,7 +213,7 @@ def main() -> int:
             print(walker.foot.data_set, walker.foot.person, len(found), file=sys.stderr, flush=True)
     tables = [table_of_half(rows, options.lies, known=known) for known in (False, True)]
     notes = [f"{left_out} of {len(feet)} feet cannot be calibrated, or are latched before the lie begins."]
-    publish(console_of(220), tables, options, notes, data_folder())
+    publish(tables, options, notes, data_folder())
     return 0
 
 

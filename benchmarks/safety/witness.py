@@ -16,7 +16,7 @@ import numpy as np
 from rich.table import Table
 from scipy.stats import chi2
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder, pyshoe_vicon, ruler_walks
 from benchmarks.lib.walkers import Foot, footswitch_treadmill, gaitmap, measured_walks, stroke_treadmill, stroke_walks
 from fes.analysis.pipeline import analyse
@@ -298,7 +298,7 @@ def main() -> int:
     tables += [of_begins(rows, later)] if later else []
     notes = [f"Accused as they are: {'; '.join(accused) or 'none'}."]
     notes.append(f"{sum(row.refused for row in sound)} feet are refused as they are and judged no further.")
-    publish(console_of(200), tables, options, notes, data_folder())
+    publish(tables, options, notes, data_folder())
     return 0
 
 
