@@ -38,7 +38,7 @@ def test_every_result_is_on_a_page_and_can_be_made_again(figures):
         assert (ROOT / "benchmarks" / figures.arguments_of(name)[0]).is_file()
     assert {*figures.QUICK, *figures.ELSEWHERE} <= shown
     kept = {path.stem for path in figures.RESULTS.glob("*.json")}
-    assert kept - {"accuracy"} == shown, "results that no page shows; accuracy.json has a page of its own"
+    assert kept == shown, "results that no page shows"
 
 
 def test_a_page_gets_its_tables_with_their_source_and_its_constants(figures, kept, tmp_path):

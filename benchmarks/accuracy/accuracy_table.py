@@ -1,6 +1,6 @@
 """One table: every data set, each of our methods, each peer that installs from a registry.
 
-    make bench-accuracy        (both environments, then this)
+    make bench-accuracy        (both environments, then this, and the page)
 
 Peers run in an environment of their own (`make peers`); without it the table has our rows alone and says so. The exit
 code is 0 however the numbers come out, and 3 without recordings: the table says which bars are met.
@@ -8,15 +8,13 @@ code is 0 however the numbers come out, and 3 without recordings: the table says
 
 from __future__ import annotations
 
-import json
 import subprocess
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.accuracy.accuracy_ours import our_rows
-from benchmarks.accuracy.accuracy_rows import in_order, markdown, verdicts, with_bar
-from benchmarks.lib.command_line import no_recordings, parser_of
+from benchmarks.accuracy.accuracy_rows import in_order, tables, verdicts, with_bar
+from benchmarks.lib.command_line import no_recordings, parser_of, publish
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.peers.cases import all_asked
 from benchmarks.peers.judge import judge
@@ -27,14 +25,11 @@ RUNNERS = ("run_orientation.py", "run_gaitmap.py")
 
 def main(arguments: list[str] | None = None) -> int:
     parser = parser_of(__doc__, data_folder())
-    parser.set_defaults(json=ROOT / "benchmarks" / "results" / "accuracy.json")
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers" / "bin" / "python", help="their Python")
-    parser.add_argument("--markdown", type=Path, default=ROOT / "docs" / "accuracy_table.md")
     options = parser.parse_args(arguments)
     asked = all_asked(options.data)
     if not asked:
         return no_recordings(options.data)
-    began = time.monotonic()
     with TemporaryDirectory(prefix="fes-peers-") as name:
         exchange = Path(name)
         for one in asked:
@@ -51,11 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = in_order([with_bar(row) for row in rows])
     notes = [] if runs else [f"Peers are not in this table: {options.peers} is not there; `make peers` makes it."]
     notes += [f"Peers are not complete: {failure}." for failure in failures]
-    print("\n".join([*verdicts(rows), *notes, f"{time.monotonic() - began:.0f} s; {options.markdown}"]))
-    told = json.dumps({"notes": notes, "rows": [row.to_json() for row in rows]}, indent=1, ensure_ascii=False) + "\n"
-    for path, text in ((options.json, told), (options.markdown, markdown(rows, notes))):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+    publish(tables(rows), options, [*verdicts(rows), *notes])
     return 0
 
 
