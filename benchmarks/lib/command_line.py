@@ -16,7 +16,7 @@ from benchmarks.lib.figures import NO_RECORDINGS, Figures, Result, digest
 
 PIPED_COLUMNS = 220  # where there is no terminal: enough for every table
 # Options that change where or how fast, not what is measured.
-ASIDE = ("--json", "--raw", "--data", "--jobs", "--peers")
+ASIDE = ("--json", "--raw", "--data", "--jobs", "--peers", "--processes")
 
 
 def parser_of(text: str | None, data: Path | None = None) -> argparse.ArgumentParser:
