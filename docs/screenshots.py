@@ -11,6 +11,7 @@ import tempfile
 import time
 from base64 import b64decode
 from contextlib import ExitStack
+from io import BytesIO
 from pathlib import Path
 from subprocess import DEVNULL, run
 
@@ -19,8 +20,8 @@ sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
 
 from live_runs import Bench, LiveRun, bus_text, live_run, sensor_text, standing_first  # noqa: E402
 from page_browser import Page, chromium  # noqa: E402
+from PIL import Image  # noqa: E402
 from replays import cut, trial  # noqa: E402
-from small_png import smaller  # noqa: E402
 
 from drivers.simulated.spawn import spawn_imu, spawn_node  # noqa: E402
 from fes.calibration.recording import calibrate_phase_sensors, save  # noqa: E402
@@ -105,7 +106,7 @@ def taken(page: Page, name: str) -> None:
 def kept(name: str, png: bytes) -> None:
     """The picture in 256 colours, in docs."""
     path = ROOT / "docs" / name
-    path.write_bytes(smaller(png))
+    Image.open(BytesIO(png)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path.relative_to(ROOT)}  {size / 1000:.0f} kB")
     if size > LARGEST_BYTES:

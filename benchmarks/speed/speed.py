@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ import numpy as np
 
 import fes
 from benchmarks.lib.real_sets import data_folder, load_run
-from benchmarks.speed.speed_bare import bare_seconds
 from benchmarks.speed.speed_row import Row
 from fes.analysis.ground_path import ground_path
 from fes.analysis.parameters.gait import gait_parameters
@@ -31,14 +30,23 @@ from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import point_heights
 from fes.estimation.events.offline import find_events
+from fes.estimation.foot import features as kernel
 from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.sensor_choice import stride_settings
+from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.records import Mat, Record, Vec, new_core
+from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.strides.results import StrideMaker
+from fes.estimation.tracking.phase_features import enter_phase
+from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, ZuptSettings, gather, gather_intervals, interval_ends
+from fes.estimation.zupt.filter import filter_intervals, new_tape
 from fes.estimation.zupt.foot_trajectory import foot_samples
+from fes.estimation.zupt.smoother import smooth_intervals
+from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.recording import Recording, Track, read_recording, write_recording
 from fes.recording.chunks import Chunk, keep_freed_memory
-from fes.recording.tracks import newer_samples
+from fes.recording.tracks import increasing, newer_samples
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES_PER_S, ROAD_SAMPLES_PER_S = 1_500_000.0, 900_000.0
@@ -225,3 +233,55 @@ def measure(minutes: float, folder: Path, *, cold: bool) -> list[Row]:
         command_seconds(*command, repeats=1, cache=folder / "another_cache", cores=())
         rows.append(Row(start_up, "fes analyse, cold, by the clock, all cores", time.monotonic() - begin, "s"))
     return rows
+
+
+# --- what the arithmetic alone costs ----------------------------------------------------------------------------------
+#
+# The filters of an analysis in bare compiled loops over the whole recording: the live core sample by sample; and of the
+# ZUPT-aided filter the samples gathered into intervals, and twice, for path and stride lengths, forwards and smoothed.
+# Reading, events, strides and all bookkeeping are left out.
+
+AFTER = np.array([0, 1, 2, 3, 0, 0, 0])  # the phase that each transition leads to
+
+
+@jit
+def _follow(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, out: Mat, after: Vec) -> int:
+    """The live core over all samples, its phases changed at once."""
+    at = changes = 0
+    while at < t_ns.shape[0]:
+        at, number = kernel.advance(core, t_ns, acc, gyr, at, t_ns.shape[0], out)
+        if number > 0:
+            changes += 1
+            enter_phase(core, after[number])
+    return changes
+
+
+def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], repeats: int = 3) -> float:
+    """Least processor time in s, all feet together."""
+    total = 0.0
+    for sensor, calibration in calibrations.items():
+        assert isinstance(calibration, FootCalibration)
+        track = recording.tracks[sensor]
+        newer = increasing(track)
+        data = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+        _, rest, _ = find_zero_velocity(*data[1:], track.rate_hz)
+        total += min(_once(calibration, *data, rest) for _ in range(repeats + 1))
+    return total
+
+
+def _once(calibration: FootCalibration, t_ns: Any, acc: Any, gyr: Any, rest: Any) -> float:
+    parts = {"parameters": calibration.parameters(), "thresholds": calibration.thresholds()}
+    core, noise = new_core(kernel.CORE, **parts, settings=OrientationSettings())[0], ZuptSettings()
+    trace, none, lever, bias = np.zeros((len(t_ns), 4)), np.zeros(len(t_ns)), np.zeros(3), np.zeros(3)
+    intervals = gather_intervals(t_ns, acc, gyr, none, none, rest, (0.0, 0.0, 0.0))
+    tape = new_tape(len(intervals.ends), int(np.count_nonzero(rest[intervals.ends])))
+    ends = np.empty(len(t_ns), np.int64)
+    kernel.start(core, int(t_ns[0]), *acc[0].tolist())
+    begin = time.process_time()
+    _follow(core, t_ns, acc, gyr, trace, AFTER)
+    interval_ends(t_ns, rest, MOVING_NS, RESTING_NS, ends)
+    gather(t_ns, acc, gyr, none, none, 0.0, 0.0, 0.0, noise, intervals)
+    for level in (False, True):
+        filter_intervals(t_ns, gyr, rest, intervals, acc[0], lever, bias, level, noise, tape)
+        smooth_intervals(t_ns, intervals.ends, bool(rest[0]), noise, tape)
+    return time.process_time() - begin

@@ -23,11 +23,10 @@ from tempfile import TemporaryDirectory
 from benchmarks.lib.figures import RESULTS, Figures, Result
 from benchmarks.speed import speed
 from benchmarks.speed.cohort import cohort_rows
-from benchmarks.speed.speed_growth import growth_rows
 from benchmarks.speed.speed_live import live_rows, live_step, recordings
 from benchmarks.speed.speed_peers import peer_rows
 from benchmarks.speed.speed_row import Row, print_rows
-from benchmarks.speed.speed_session import session_rows
+from benchmarks.speed.speed_session import growth_rows, session_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 BUSY = 0.15  # processors that others take: from there on what counts by the clock counts little
