@@ -47,7 +47,7 @@ from benchmarks.accuracy.shank_phases import evaluate as evaluate_shanks
 from benchmarks.accuracy.stride_length import FUSED, METHODS, belt_ratios, clearance_errors, strides_between, strides_of
 from benchmarks.accuracy.zero_velocity import evaluate_detector, evaluate_loop, lengths_m, path_of
 from benchmarks.lib.command_line import no_recordings, parser_of, publish
-from benchmarks.lib.real_sets import PathWalk, Walk, data_folder, gaitmap_cases, gaitmap_walk, pyshoe, xio
+from benchmarks.lib.real_sets import PathWalk, Walk, data_folder, gaitmap_cases, gaitmap_walk, pyshoe, runs_of, xio
 from benchmarks.lib.swing_judge import score as order
 from benchmarks.lib.walkers import calibrate, causal, stroke_treadmill, swings_of
 from benchmarks.peers.cases import OUR_ENDS, Asked, all_asked
@@ -153,8 +153,7 @@ def rest_rows(folder: Path) -> list[Row]:
 
 def stroke_rows(folder: Path) -> list[Row]:
     """Speed of feet and shanks against the belt, phases in order, foot-strike angle."""
-    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
-    if not paths:
+    if not (paths := runs_of(folder)):
         return []
     data_set = "stroke_treadmill"
     rows = [

@@ -21,13 +21,14 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.lib.command_line import no_recordings, parser_of, publish
-from benchmarks.lib.real_sets import LAST_S, PathWalk, Walk, data_folder, marker_strides
+from benchmarks.lib.real_sets import LAST_S, Walk, data_folder
 from benchmarks.lib.swing_judge import (
     IN_ORDER,
     Labelled,
     answered,
     fired_by_stride,
     in_order,
+    later_ms,
     pairs,
     score,
     swing_phases,
@@ -209,13 +210,11 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
 
 def against_markers(found: Found, foot: Foot, changes: list[PhaseChange]) -> None:
     """How much later than the markers' T1 to T4 each is; heel rise by the simulated truth's 5 mm, flat by its 2°."""
-    assert isinstance(foot.walk, PathWalk)
-    strides = list(marker_strides(foot.walk, np.sort(foot.ic_s), np.sort(foot.fo_s)))
+    strides = foot.marked_strides()
     rise_s, flat_s = ([s[key] for s in strides if key in s] for key in ("t_pre_swing_s", "t_stance_s"))
     for name, known_s in (("T1", rise_s), ("T2", foot.fo_s), ("T3", foot.ic_s), ("T4", flat_s)):
-        times = np.array([1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name])
-        nearest = [times[np.argmin(np.abs(times - t))] - t for t in known_s] if len(times) else []
-        found.later_ms[name] = [1e3 * float(d) for d in nearest if abs(d) < 0.25]
+        times_s = [1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name]
+        found.later_ms[name] = later_ms(times_s, known_s, 250.0)
 
 
 def calibrated_elsewhere(found: Found, foot: Foot, swings: Swings, changes: list[PhaseChange]) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.accuracy.shank_phases import evaluate as shanks_of
 from benchmarks.lib.command_line import no_recordings, parser_of
 from benchmarks.lib.figures import Figures, Result, digest
-from benchmarks.lib.real_sets import LAST_S, TRIALS, data_folder
+from benchmarks.lib.real_sets import LAST_S, TRIALS, data_folder, runs_of
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
@@ -127,16 +127,15 @@ def agreement(d: Differences, factor: float, digits: int) -> list[str]:
     return [f"{factor * d.bias.value:+.{digits}f}", f"{factor * d.sd:.{digits}f}", limits]
 
 
-def runs(folder: Path) -> list[Path]:
+def belt_runs(folder: Path) -> list[Path]:
     """Those on a belt of known speed."""
-    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
-    return [path for path in paths if np.isfinite(float(np.load(path)["belt_speed"]))]
+    return [path for path in runs_of(folder) if np.isfinite(float(np.load(path)["belt_speed"]))]
 
 
 def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
     values = 100 * np.array([
         [abs(side.zupt - 1.0), abs(side.learnt - 1.0), feet[f"{path.stem} {side.sensor.removesuffix('_shank')}"]]
-        for path in runs(folder) for side in shanks_of(path)
+        for path in belt_runs(folder) for side in shanks_of(path)
     ])  # fmt: skip
     rows = [
         ["published, mean of 10 healthy (columns as printed)", "13.44", "3.58", "2.33"],
@@ -151,7 +150,7 @@ def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
 def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
     errors: dict[str, float] = {}
     parameters: Cells = []
-    for path in runs(folder):
+    for path in belt_runs(folder):
         recording = read_file("stroke_treadmill", path).recording
         analysis, since = analysed(recording), 1e9 * (max(t.duration_s for t in recording.tracks.values()) - LAST_S)
         for foot in ("left_foot", "right_foot"):
@@ -189,11 +188,11 @@ def main(arguments: list[str] | None = None) -> int:
     if given.simulated:
         command, tables = "python benchmarks/accuracy/papers.py --simulated", negard()
         data = {"sim_inputs/negard_*": digest(TRIALS.glob("negard_*"))}
-    elif (folder / "gaitmap_walk").is_dir() and runs(folder):
+    elif (folder / "gaitmap_walk").is_dir() and belt_runs(folder):
         of_wang, errors = wang(folder)
         command, tables = "python benchmarks/accuracy/papers.py", [*kumar(folder), *wu(folder, errors), *of_wang]
         data = {"gaitmap_walk": digest((folder / "gaitmap_walk").glob("*.csv"))}
-        data["stroke_treadmill"] = digest(runs(folder))
+        data["stroke_treadmill"] = digest(belt_runs(folder))
     else:
         return no_recordings(folder)
     result = Result(command, tables, data)

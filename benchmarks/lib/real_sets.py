@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -48,11 +47,8 @@ def trials(names: Iterable[str] = (*NAMES, "not_walking")) -> Iterator[tuple[str
 
 
 def runs_of(folder: Path) -> list[Path]:
-    """All runs below a folder; where there are none, says what to do about that."""
-    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
-    if not paths:
-        print(f"No recordings in {folder / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
-    return paths
+    """All runs below a folder, in order."""
+    return sorted((folder / "stroke_treadmill").glob("*.npz"))
 
 
 def load_run(path: Path, part: str = "foot") -> tuple[dict[str, Track], float]:
@@ -69,7 +65,7 @@ def strike_deg(path: Path) -> float:
 
 def stroke_feet(folder: Path) -> Iterator[tuple[str, Track, float]]:
     """Runs on a belt of known speed: name, track, belt speed (m/s)."""
-    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+    for path in runs_of(folder):
         tracks, belt_mps = load_run(path)
         if np.isfinite(belt_mps):
             for track in tracks.values():

@@ -110,15 +110,13 @@ def settings(node: NodeHandle, ports: dict[str, str], rate_hz: float) -> str:
 
 def drive(operator: ScriptedOperator, controller: ControllerProcess, seconds: float) -> None:
     """Arm whenever it is not, raise, until the time is over or the session ends."""
-    end_s, faults = time.monotonic() + seconds, 0
+    end_s = time.monotonic() + seconds
     while time.monotonic() < end_s and controller.alive:
         time.sleep(0.2)
         status = operator.receive_status()
         if status is None:
             continue
         if status.state in ("shadow", "fault"):
-            if status.state == "fault" and status.fault:
-                faults += 1
             operator.send_command("arm")
         elif status.intensity < INTENSITY:
             operator.send_command("up")

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import fes
-from benchmarks.lib.real_sets import data_folder, load_run
+from benchmarks.lib.real_sets import data_folder, load_run, runs_of
 from benchmarks.speed.speed_row import Row
 from fes.analysis.ground_path import ground_path
 from fes.analysis.parameters.gait import gait_parameters
@@ -58,8 +58,7 @@ ONE_CORE = ["taskset", "--cpu-list", "0"] if shutil.which("taskset") else []
 
 def one_walk() -> Recording:
     """A walk of two feet to repeat."""
-    runs = sorted((data_folder() / "stroke_treadmill").glob("*.npz"))
-    if not runs:
+    if not (runs := runs_of(data_folder())):
         return read_recording(ROOT / "sim_inputs" / "both_feet_200hz.parquet")
     tracks, belt_mps = load_run(runs[0])
     return Recording(runs[0].stem, None, tracks, belt_mps if np.isfinite(belt_mps) else None)
