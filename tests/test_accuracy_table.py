@@ -68,9 +68,8 @@ def test_cases_and_results_survive_their_files_and_a_failure_is_told(tmp_path):
 
 
 def test_judging_lengths_lifts_and_failures(tmp_path):
-    from benchmarks.peers.cases import Asked
+    from benchmarks.peers.cases import Asked, judge, strides_hit
     from benchmarks.peers.exchange import Case, Method, run_all
-    from benchmarks.peers.judge import judge, strides_hit
 
     zeros = np.zeros((9, 3))
     borders = np.array([[0, 4], [4, 8]])

@@ -50,12 +50,19 @@ from benchmarks.lib.command_line import no_recordings, parser_of, publish
 from benchmarks.lib.real_sets import PathWalk, Walk, data_folder, gaitmap_cases, gaitmap_walk, pyshoe, runs_of, xio
 from benchmarks.lib.swing_judge import score as order
 from benchmarks.lib.walkers import calibrate, causal, stroke_treadmill, swings_of
-from benchmarks.peers.cases import OUR_ENDS, Asked, all_asked
-from benchmarks.peers.judge import f1_row, judge, orientation_row, own_border_errors, strides_hit
+from benchmarks.peers.cases import (
+    OUR_ENDS,
+    Asked,
+    all_asked,
+    f1_row,
+    judge,
+    orientation_row,
+    own_border_errors,
+    strides_hit,
+)
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
 from fes.calibration.recording import calibrate_track
 from fes.estimation.zupt.detectors import Detector
-from fes.signals import StrideResult
 
 NAMES = {"maximum_likelihood": "fes maximum likelihood (default)", "constrained": "fes constrained (Negård)"}
 NAMES[FUSED] = "fes analyse (maximum likelihood and ZUPT)"
@@ -103,18 +110,13 @@ def given_rows(asked: list[Asked]) -> list[Row]:
             for stride, known_m in zip(strides, one.length_m, strict=False):
                 if stride.valid and np.isfinite(known_m):
                     lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
-                    lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
+                    lifts.append(100.0 * (stride.clearance_m - walk.true_lift_m(stride)))
         wanted = sum(np.isfinite(one.length_m).sum() for one, _ in walks)
         for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
             if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
                 share = float(np.isfinite(errors).sum() / wanted)
                 rows.append(row_of(data_set, quantity, "cm", NAMES[method], KNOWN[method], errors, share))
     return rows
-
-
-def _true_lift_m(walk: Walk, stride: StrideResult) -> float:
-    arm = walk if isinstance(walk, PathWalk) and walk.lever_m is not None else None
-    return walk.true_clearance_m(stride) if arm is None else arm.true_lift_m(stride)
 
 
 def arm_rows() -> list[Row]:

@@ -6,12 +6,11 @@ simulated stimulator, log) on the recording's time. Times are processor times of
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
+import gc
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +18,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import compute, parquet
 
-from benchmarks.speed.speed import one_walk, repeated
+from benchmarks.speed.speed import one_walk, repeated, spent_by
 from benchmarks.speed.speed_row import Row
 from drivers.simulated.stimulator.in_process import InProcessStimulator
+from fes.analysis.pipeline import calibrations_of
 from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import load_session
 from fes.control.controller import Controller
@@ -29,11 +29,11 @@ from fes.control.replay import identity, log_header, session_for
 from fes.control.runner import Runner, armed_after, with_ticks
 from fes.estimation.sensor_choice import shank_phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.gate import gate_of
+from fes.gate import SafetyGate, gate_of
 from fes.recording import Recording, write_recording
 from fes.recording.tracks import samples_of
 from fes.session_log import SessionWriter
-from fes.signals import FOOT_SENSORS, NS_PER_S, Event
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event, FloatArray, ImuSample, StrideResult
 from fes.simulation.forward import VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import recording_of
 
@@ -42,22 +42,6 @@ RATE_HZ = 500.0
 WALK_S = 120.0
 LOG_MB_PER_H, REPORT_S = 200.0, 10.0
 WRITTEN_SAMPLES = 200_000
-STARTER = """
-import json, os, sys
-child = os.posix_spawn(
-    sys.argv[1], sys.argv[1:], os.environ, file_actions=[(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
-)
-_, status, usage = os.wait4(child, 0)
-print(json.dumps([status, usage.ru_utime, usage.ru_stime, usage.ru_maxrss]))
-"""
-
-
-@dataclass(frozen=True)
-class Spent:
-    """What a process took: processor time in s, greatest resident memory in MB."""
-
-    seconds: float
-    memory_mb: float
 
 
 def walk(hours: float) -> Recording:
@@ -122,21 +106,6 @@ def writing(recording: Recording, folder: Path) -> tuple[float, float]:
     return 1e6 * min(taken) / len(samples), 1e-6 * path.stat().st_size / min(taken)
 
 
-def spent_by(command: Sequence[str | Path]) -> Spent:
-    """Run a command and see what it took.
-
-    A small process starts it: Linux counts the memory that its parent has needed as the command's own.
-
-    Raises:
-        RuntimeError: it failed.
-    """
-    starter = [sys.executable, "-I", "-S", "-c", STARTER, *(str(part) for part in command)]
-    status, user_s, system_s, most_kb = json.loads(subprocess.run(starter, capture_output=True, check=True).stdout)
-    if status:
-        raise RuntimeError(f"{' '.join(map(str, command))}: ended with {os.waitstatus_to_exitcode(status)}")
-    return Spent(user_s + system_s, most_kb / 1024)
-
-
 def session_rows(hours: float, folder: Path) -> list[Row]:
     """The figures; per hour, so that a shorter run tells as well."""
     recording = walk(hours)
@@ -164,7 +133,7 @@ def session_rows(hours: float, folder: Path) -> list[Row]:
 
 # --- how the analysis grows with the recording ------------------------------------------------------------------------
 
-GROUP = "growth with the recording"
+GROWTH = "growth with the recording"
 LINEAR, BOUNDED = 1.25, 1.5
 
 
@@ -200,13 +169,110 @@ def growth_rows(lengths: list[float], folder: Path) -> list[Row]:
         spent[hours] = spent_by(command)
         path.unlink()
         note = f"{samples / 1e6:.2f} M samples"
-        rows.append(Row(GROUP, f"fes analyse, {hours:.2g} h", spent[hours].seconds, "s", note=note))
-        rows.append(Row(GROUP, f"memory, {hours:.2g} h", spent[hours].memory_mb, "MB"))
+        rows.append(Row(GROWTH, f"fes analyse, {hours:.2g} h", spent[hours].seconds, "s", note=note))
+        rows.append(Row(GROWTH, f"memory, {hours:.2g} h", spent[hours].memory_mb, "MB"))
     if len(spent) > 1:
         short, long = min(spent), max(spent)
         times = (spent[long].seconds / long) / (spent[short].seconds / short)
         what = f"time an hour, {long:.2g} h over {short:.2g} h"
-        rows.append(Row(GROUP, what, times, "", LINEAR, note="linear: 1, less by what starting takes"))
+        rows.append(Row(GROWTH, what, times, "", LINEAR, note="linear: 1, less by what starting takes"))
         memory = spent[long].memory_mb / spent[short].memory_mb
-        rows.append(Row(GROUP, f"memory, {long:.2g} h over {short:.2g} h", memory, "", BOUNDED))
+        rows.append(Row(GROWTH, f"memory, {long:.2g} h over {short:.2g} h", memory, "", BOUNDED))
     return rows
+
+
+# --- a live step ------------------------------------------------------------------------------------------------------
+
+STEP = "a live step"
+MEAN_US, P99_US = 12.0, 45.0
+
+
+@dataclass(frozen=True)
+class LiveStep:
+    """What one sample takes (µs) by the clock: mean and 99th percentile; and in processor time, the mean.
+
+    ``stride_share`` of the samples end a stride, ``bursts_share`` of the commands have current.
+    """
+
+    mean_us: float
+    p99_us: float
+    processor_us: float
+    stride_share: float
+    bursts_share: float
+
+
+def live_step(recording: Recording) -> LiveStep:
+    recording, found = calibrations_of(recording)
+    session = session_for(recording, load_session(ROOT / "sim_inputs" / "session.toml"))
+    up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
+    source = armed_after(with_ticks(samples_of(recording, set(found.calibrations))), 0.5, 1.0)
+    events = list(source)
+    is_sample = np.array([isinstance(event, ImuSample) for event in events])
+    warm_up()
+
+    def parts() -> tuple[SafetyGate, Controller]:
+        return gate_of(session, up, shank_phase_sensors(found.calibrations)), Controller(session, found.calibrations)
+
+    with _as_in_a_session():
+        taken_us, strides, commands, on = _clocked_us(events, *parts())
+        spent_s = _spent_s(events, *parts())
+    taken_us = taken_us[is_sample]
+    mean_us, p99_us = float(taken_us.mean()), float(np.percentile(taken_us, 99))
+    samples = len(taken_us)
+    return LiveStep(mean_us, p99_us, 1e6 * spent_s / samples, strides / samples, on / max(commands, 1))
+
+
+def live_rows(named: dict[str, Callable[[], Recording]]) -> list[Row]:
+    rows = []
+    for name, recording in named.items():
+        found = live_step(recording())
+        current = f"current in {100 * found.bursts_share:.0f} % of the commands"
+        strides = f"{100 * found.stride_share:.2g} % of the samples end a stride"
+        mean, most = f"live step, mean, {name}", f"live step, 99 %, {name}"
+        rows.append(Row(STEP, mean, found.mean_us, "µs", MEAN_US, note=f"one pass by the clock; {current}"))
+        rows.append(Row(STEP, most, found.p99_us, "µs", P99_US, note=f"of the same pass; {strides}"))
+        rows.append(Row(STEP, f"live step, processor time, {name}", found.processor_us, "µs"))
+    return rows
+
+
+@contextmanager
+def _as_in_a_session() -> Iterator[None]:
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _clocked_us(events: list[Event], gate: SafetyGate, controller: Controller) -> tuple[FloatArray, int, int, int]:
+    """What each event took; how many strides, commands, and commands with current there were."""
+    taken = np.zeros(len(events))
+    clock, strides, commands, on = time.perf_counter_ns, 0, 0, 0
+    for at, event in enumerate(events):
+        begin_ns = clock()
+        gate.observe(event)
+        decision = controller.step(event)
+        judged = [gate.judge(event.t_ns, request) for request in decision.requests]
+        taken[at] = clock() - begin_ns
+        strides += sum(isinstance(outcome, StrideResult) for outcome in decision.outcomes)
+        commands, on = commands + len(judged), on + sum(command.on for command in judged)
+    return 1e-3 * taken, strides, commands, on
+
+
+def _spent_s(events: list[Event], gate: SafetyGate, controller: Controller) -> float:
+    begin_s = time.process_time()
+    for event in events:
+        gate.observe(event)
+        for request in controller.step(event).requests:
+            gate.judge(event.t_ns, request)
+    return time.process_time() - begin_s
+
+
+def recordings() -> dict[str, Callable[[], Recording]]:
+    """The walk of ``speed.py``, and two minutes of a virtual patient at 500 Hz."""
+    first = one_walk()
+    rate_hz = next(iter(first.tracks.values())).rate_hz
+    return {f"2 × {rate_hz:.0f} Hz": lambda: first, f"2 × {RATE_HZ:.0f} Hz": lambda: walk(WALK_S / 3600.0)}
