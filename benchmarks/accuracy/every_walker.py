@@ -82,10 +82,7 @@ class Found:
     speed_offline: float = float("nan")
     fast: int = 0  # swings of cycles that last less than FAST_S, …
     fast_answered: int = 0  # … and those of them with a length
-    length_cm: list[float] = field(default_factory=list)
-    length_fast: list[bool] = field(default_factory=list)
-    length_causal_cm: list[float] = field(default_factory=list)
-    length_causal_fast: list[bool] = field(default_factory=list)
+    length_cm: dict[str, list[float]] = field(default_factory=dict)  # off-line and causal, usual and fast
     events: int = 0
     strike_deg: list[float] = field(default_factory=list)
     vicon_deg: float = float("nan")
@@ -121,19 +118,15 @@ def cycle_s(swings: Swings, stride: StrideResult) -> float:
     return 1e-9 * float(near.min()) if len(near) else float("inf")
 
 
-def cycles_s(swings: Swings) -> list[float]:
-    """The time from each whole swing to the one before or after, the shorter of both."""
-    gaps_s = np.append(1e-9 * np.diff(swings.sure), np.inf)
-    at = np.searchsorted(swings.sure, swings.whole())
-    return [float(gap_s) for gap_s in np.minimum(gaps_s[at], gaps_s[at - 1])]
-
-
-def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -> tuple[list[float], list[bool]]:
-    """Errors of length (cm) of the strides that the reference can judge, and whether each was fast."""
-    judged = [(s, walk.true_length_m(s)) for s in strides if s.valid and walk.comparable(s)]
-    judged = [(s, true_m) for s, true_m in judged if np.isfinite(true_m)]
-    errors = [100.0 * (s.stride_length_m - true_m) for s, true_m in judged]
-    return errors, [cycle_s(swings, s) < FAST_S for s, _ in judged]
+def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult], how: str) -> dict[str, list[float]]:
+    """Errors of length (cm) of the strides that the reference can judge, those of fast cycles apart."""
+    errors: dict[str, list[float]] = {how: [], f"{how}, fast": []}
+    for stride in strides:
+        true_m = walk.true_length_m(stride) if stride.valid and walk.comparable(stride) else float("nan")
+        if np.isfinite(true_m):
+            fast = ", fast" if cycle_s(swings, stride) < FAST_S else ""
+            errors[how + fast].append(100.0 * (stride.stride_length_m - true_m))
+    return errors
 
 
 def judge(foot: Foot) -> Found:
@@ -153,8 +146,9 @@ def judge(foot: Foot) -> Found:
     counts = score(swings, changes, strides)
     found.false_swings, found.answered, found.explained = counts.false_swings, counts.answered, counts.explained
     found.in_order = counts.in_order
-    fast = [at for at, around_s in zip(swings.whole().tolist(), cycles_s(swings), strict=True) if around_s < FAST_S]
-    found.fast, found.fast_answered = len(fast), sum(answered(strides, at) for at in fast)
+    gaps_s, at = np.append(1e-9 * np.diff(swings.sure), np.inf), np.searchsorted(swings.sure, swings.whole())
+    fast = swings.whole()[np.minimum(gaps_s[at], gaps_s[at - 1]) < FAST_S].tolist()
+    found.fast, found.fast_answered = len(fast), sum(answered(strides, at_ns) for at_ns in fast)
     if foot.labels is not None:
         against_labels(found, foot.labels, swings, changes)
     recording = Recording(foot.run, None, {track.sensor: track}, belt_speed_mps=None)
@@ -165,8 +159,8 @@ def judge(foot: Foot) -> Found:
         found.speed_causal = speed_mps(strides, since_ns) / foot.belt_mps
         found.speed_offline = speed_mps(offline, since_ns) / foot.belt_mps
     if foot.walk is not None:
-        found.length_cm, found.length_fast = length_errors(foot.walk, swings, offline)
-        found.length_causal_cm, found.length_causal_fast = length_errors(foot.walk, swings, strides)
+        found.length_cm = length_errors(foot.walk, swings, offline, "off-line")
+        found.length_cm |= length_errors(foot.walk, swings, strides, "causal")
     if isinstance(calibration, FootCalibration):
         events = result.events[track.sensor]
         found.events = len(events.ic_ns)
@@ -292,12 +286,8 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
             ratios = np.array([getattr(f, kind) for f in feet if np.isfinite(getattr(f, kind))])
             far = ratios[np.argmax(np.abs(ratios - 1.0))] if len(ratios) else 0.0
             cells += [f"{ratios.mean():.4f} ± {ratios.std(ddof=1):.4f}", f"{far:.3f}"] if len(ratios) > 1 else ["–"] * 2
-        for kind in ("length", "length_causal"):
-            for fast in (False, True):
-                rows = [(getattr(f, f"{kind}_cm"), getattr(f, f"{kind}_fast")) for f in feet]
-                cells.append(
-                    rms(e for errors, flags in rows for e, flag in zip(errors, flags, strict=True) if flag is fast)
-                )
+        for kind in ("off-line", "off-line, fast", "causal", "causal, fast"):
+            cells.append(rms(error for f in feet for error in f.length_cm.get(kind, ())))
         told = percent(sum(f.fast_answered for f in feet), sum(f.fast for f in feet))
         cells.append(told if feet[0].data_set in ("pyshoe_vicon", "ruler_walks") else "–")
         if any(cell != "–" for cell in cells):

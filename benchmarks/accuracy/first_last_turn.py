@@ -61,17 +61,16 @@ class Kind(enum.Flag):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One true step: foot off and contact (s from the track's start), travel and turn over it, and what it is."""
+    """One true step: foot off and contact (s from the track's start), its turn, and what it is."""
 
     off_s: float
     contact_s: float
-    travel_m: float
     turn_deg: float
     kind: Kind
 
 
-def classified(steps: list[tuple[float, float, float, float]], begin_s: float, end_s: float) -> list[Step]:
-    """Steps (foot off, contact, travel, turn) in order → what each is; the recording is from ``begin_s`` to ``end_s``.
+def classified(steps: list[tuple[float, float, float]], begin_s: float, end_s: float) -> list[Step]:
+    """Steps (foot off, contact, turn) in order → what each is; the recording is from ``begin_s`` to ``end_s``.
 
     A step at either end of the recording is a first or a last one if the foot stood long enough there.
     """
@@ -85,7 +84,7 @@ def classified(steps: list[tuple[float, float, float, float]], begin_s: float, e
     found = []
     for step, first, last in zip(steps, before, after, strict=True):
         kind = (Kind.FIRST if first else Kind.MID) | (Kind.LAST if last else Kind.MID)
-        found.append(Step(*step, kind | (Kind.TURN if abs(step[3]) > TURNED_DEG else Kind.MID)))
+        found.append(Step(*step, kind | (Kind.TURN if abs(step[2]) > TURNED_DEG else Kind.MID)))
     return found
 
 
@@ -132,7 +131,7 @@ def marker_steps(folder: Path, side: str) -> list[Step]:
             continue
         a, b = max(a - 10, 0), min(b + 10, len(heel) - 1)
         off, contact = crossings(speeds[1][a : b + 1], [speed[a : b + 1] for speed in speeds], a)
-        found.append((off / MARKERS_HZ, contact / MARKERS_HZ, travel, turn))
+        found.append((off / MARKERS_HZ, contact / MARKERS_HZ, turn))
     return classified(found, 0.0, len(heel) / MARKERS_HZ)
 
 
@@ -176,7 +175,7 @@ def sensor_steps(track: Track) -> list[Step]:
         if travel < TRAVEL_M:  # a foot that only pivots has not stepped
             continue
         off, contact = (begin + at for at in turned_and_struck(velocity, free, tilting, rate_hz))
-        found.append((off / rate_hz, contact / rate_hz, travel, turn))
+        found.append((off / rate_hz, contact / rate_hz, turn))
     return classified(found, 0.0, float(grid_s[-1]))
 
 
@@ -258,9 +257,7 @@ def gaitmap(data: Path) -> Iterator[Foot]:
 def of_truth(group: str, name: str, tracks: dict[str, Track], truth: Truth) -> Iterator[Foot]:
     for sensor, track in tracks.items():
         if sensor.endswith("foot"):
-            steps = [
-                (s.t_swing_s, s.t_loading_response_s, s.stride_length_m, s.turn_deg) for s in truth.strides_of(sensor)
-            ]
+            steps = [(s.t_swing_s, s.t_loading_response_s, s.turn_deg) for s in truth.strides_of(sensor)]
             yield Foot(group, f"{name} {sensor.split('_')[0]}", track, classified(steps, 0.0, track.duration_s))
 
 

@@ -9,9 +9,6 @@ from __future__ import annotations
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -182,69 +179,51 @@ def growth_rows(lengths: list[float], folder: Path) -> list[Row]:
 
 
 # --- a live step ------------------------------------------------------------------------------------------------------
+#
+# One sample's way from the gate that sees it, through estimator, phases, strides and plan, to commands. The session is
+# armed and stimulates at full intensity, the garbage collector is off as in a live session. Not part of a step: the
+# driver's codec, the log, the stimulator's line.
 
 STEP = "a live step"
 MEAN_US, P99_US = 12.0, 45.0
 
 
-@dataclass(frozen=True)
-class LiveStep:
-    """What one sample takes (µs) by the clock: mean and 99th percentile; and in processor time, the mean.
-
-    ``stride_share`` of the samples end a stride, ``bursts_share`` of the commands have current.
-    """
-
-    mean_us: float
-    p99_us: float
-    processor_us: float
-    stride_share: float
-    bursts_share: float
+def live_rows() -> list[Row]:
+    """Of the walk of ``speed.py``, and of two minutes of a virtual patient at 500 Hz."""
+    first = one_walk()
+    rate_hz = next(iter(first.tracks.values())).rate_hz
+    return step_rows(first, f"2 × {rate_hz:.0f} Hz") + step_rows(walk(WALK_S / 3600.0), f"2 × {RATE_HZ:.0f} Hz")
 
 
-def live_step(recording: Recording) -> LiveStep:
+def step_rows(recording: Recording, name: str = "") -> list[Row]:
+    """What one sample takes: mean and 99th percentile by the clock, and the mean in processor time."""
     recording, found = calibrations_of(recording)
     session = session_for(recording, load_session(ROOT / "sim_inputs" / "session.toml"))
     up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
-    source = armed_after(with_ticks(samples_of(recording, set(found.calibrations))), 0.5, 1.0)
-    events = list(source)
-    is_sample = np.array([isinstance(event, ImuSample) for event in events])
+    events = list(armed_after(with_ticks(samples_of(recording, set(found.calibrations))), 0.5, 1.0))
     warm_up()
 
     def parts() -> tuple[SafetyGate, Controller]:
         return gate_of(session, up, shank_phase_sensors(found.calibrations)), Controller(session, found.calibrations)
 
-    with _as_in_a_session():
-        taken_us, strides, commands, on = _clocked_us(events, *parts())
-        spent_s = _spent_s(events, *parts())
-    taken_us = taken_us[is_sample]
-    mean_us, p99_us = float(taken_us.mean()), float(np.percentile(taken_us, 99))
-    samples = len(taken_us)
-    return LiveStep(mean_us, p99_us, 1e6 * spent_s / samples, strides / samples, on / max(commands, 1))
-
-
-def live_rows(named: dict[str, Callable[[], Recording]]) -> list[Row]:
-    rows = []
-    for name, recording in named.items():
-        found = live_step(recording())
-        current = f"current in {100 * found.bursts_share:.0f} % of the commands"
-        strides = f"{100 * found.stride_share:.2g} % of the samples end a stride"
-        mean, most = f"live step, mean, {name}", f"live step, 99 %, {name}"
-        rows.append(Row(STEP, mean, found.mean_us, "µs", MEAN_US, note=f"one pass by the clock; {current}"))
-        rows.append(Row(STEP, most, found.p99_us, "µs", P99_US, note=f"of the same pass; {strides}"))
-        rows.append(Row(STEP, f"live step, processor time, {name}", found.processor_us, "µs"))
-    return rows
-
-
-@contextmanager
-def _as_in_a_session() -> Iterator[None]:
     gc.collect()
     gc.freeze()
     gc.disable()
     try:
-        yield
+        taken_us, strides, commands, on = _clocked_us(events, *parts())
+        spent_s = _spent_s(events, *parts())
     finally:
         gc.enable()
         gc.unfreeze()
+    taken_us = taken_us[[isinstance(event, ImuSample) for event in events]]
+    samples, p99_us = len(taken_us), float(np.percentile(taken_us, 99))
+    current = f"one pass by the clock; current in {100 * on / max(commands, 1):.0f} % of the commands"
+    ends = f"of the same pass; {100 * strides / samples:.2g} % of the samples end a stride"
+    return [
+        Row(STEP, f"live step, mean, {name}", float(taken_us.mean()), "µs", MEAN_US, note=current),
+        Row(STEP, f"live step, 99 %, {name}", p99_us, "µs", P99_US, note=ends),
+        Row(STEP, f"live step, processor time, {name}", 1e6 * spent_s / samples, "µs"),
+    ]
 
 
 def _clocked_us(events: list[Event], gate: SafetyGate, controller: Controller) -> tuple[FloatArray, int, int, int]:
@@ -269,10 +248,3 @@ def _spent_s(events: list[Event], gate: SafetyGate, controller: Controller) -> f
         for request in controller.step(event).requests:
             gate.judge(event.t_ns, request)
     return time.process_time() - begin_s
-
-
-def recordings() -> dict[str, Callable[[], Recording]]:
-    """The walk of ``speed.py``, and two minutes of a virtual patient at 500 Hz."""
-    first = one_walk()
-    rate_hz = next(iter(first.tracks.values())).rate_hz
-    return {f"2 × {rate_hz:.0f} Hz": lambda: first, f"2 × {RATE_HZ:.0f} Hz": lambda: walk(WALK_S / 3600.0)}
