@@ -11,7 +11,6 @@ import tempfile
 import time
 from base64 import b64decode
 from contextlib import ExitStack
-from io import BytesIO
 from pathlib import Path
 from subprocess import DEVNULL, run
 
@@ -98,15 +97,16 @@ def walking(run: LiveRun, page: Page) -> None:
 
 
 def taken(page: Page, name: str) -> None:
-    """Keep the picture, and say how large it is."""
+    """Keep the picture in docs."""
     page.picture(ROOT / "docs" / name)
-    kept(name, (ROOT / "docs" / name).read_bytes())
+    smaller(name)
 
 
-def kept(name: str, png: bytes) -> None:
-    """The picture in 256 colours, in docs."""
+def smaller(name: str) -> None:
+    """A picture of docs in 256 colours, a quarter of the bytes, and how large it is then."""
     path = ROOT / "docs" / name
-    Image.open(BytesIO(png)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path.relative_to(ROOT)}  {size / 1000:.0f} kB")
     if size > LARGEST_BYTES:
@@ -164,18 +164,13 @@ def report() -> None:
         page.go(demo.as_uri())
         taken(page, "report_desktop.png")
         printed = b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
-        (folder / "report.pdf").write_bytes(printed)
-        run(
-            ["pdftoppm", "-r", "110", "-l", "1", "-singlefile", "-png", folder / "report.pdf", folder / "print"],
-            check=True,
-        )
-        kept("report_print.png", (folder / "print.png").read_bytes())
-        write_recording(hemiparetic_walk(), folder / "hemiparetic.parquet")
-        run(
-            [FES, "analyse", folder / "hemiparetic.parquet", "--hemiparetic", "--out", folder],
-            check=True,
-            stdout=DEVNULL,
-        )
+        pdf, png = folder / "report.pdf", ROOT / "docs" / "report_print"
+        pdf.write_bytes(printed)
+        run(["pdftoppm", "-r", "110", "-l", "1", "-singlefile", "-png", pdf, png], check=True)
+        smaller("report_print.png")
+        walked = folder / "hemiparetic.parquet"
+        write_recording(hemiparetic_walk(), walked)
+        run([FES, "analyse", walked, "--hemiparetic", "--out", folder], check=True, stdout=DEVNULL)
         (walk,) = folder.glob("hemiparetic-*/report.html")
         page.size(820, 1180, touch=True)
         page.go(walk.as_uri())

@@ -31,6 +31,9 @@ CLOSE_MS = 60.0
 EDGE_S = 1.0  # of stance beside the first mark and the last
 
 
+Changes = dict[tuple[str, str], list[PhaseChange]]  # of each foot, by run and side
+
+
 @dataclass(frozen=True)
 class Mark:
     """One swing of one foot by one rater: T1–T4 in s from the foot's first sample, NaN where the rater left it open."""
@@ -146,31 +149,26 @@ def severe_feet(data: Path) -> list[Foot]:
     return [foot for foot in feet if (foot.run, foot.side) in marked]
 
 
-def together(results: Sequence[Result], name: str) -> Result:
-    instants = [
-        Agreement(same[0].instant, sum(x.marks for x in same), [ms for x in same for ms in x.errors_ms])
-        for same in zip(*(result.instants for result in results), strict=True)
-    ]
-    swings, ones = sum(r.swings for r in results), sum(r.one_swing for r in results)
-    return Result(name, results[0].rater, swings, ones, instants)
+def against(rater: str, name: str, feet: Sequence[tuple[str, str]], changes: Changes) -> Result:
+    """These feet together against one rater."""
+    marks, instants = marks_of(rater), []
+    for each in TIMES:
+        found = [errors_ms(marks[foot], changes[foot], each) for foot in feet]
+        instants.append(Agreement(each.name, sum(count for count, _ in found), [ms for _, own in found for ms in own]))
+    ones = sum(single(marks[foot], changes[foot]) for foot in feet)
+    return Result(name, rater, sum(len(marks[foot]) for foot in feet), ones, instants)
 
 
 def evaluate(data: Path) -> list[Result]:
     """Each foot and all but the dragged one together, against each rater."""
-    results = []
+    changes: Changes = {}
     for foot in severe_feet(data):
         calibration = calibrated(foot.track)
-        changes = causal(foot.track, calibration)[0] if calibration else []
-        for rater in RATERS:
-            marks = marks_of(rater)[foot.run, foot.side]
-            instants = [Agreement(each.name, *errors_ms(marks, changes, each)) for each in TIMES]
-            counts = len(marks), single(marks, changes)
-            results.append(Result(name_of(foot.run, foot.side), rater, *counts, instants))
-    dragged = name_of(*DRAGGED)
-    for rater in RATERS if results else ():
-        own = [r for r in results if r.rater == rater and r.foot != dragged]
-        results.append(together(own, f"{len(own)} feet together"))
-    return results
+        changes[foot.run, foot.side] = causal(foot.track, calibration)[0] if calibration else []
+    groups = {name_of(*foot): [foot] for foot in changes}
+    if sound := [foot for foot in changes if foot != DRAGGED]:
+        groups[f"{len(sound)} feet together"] = sound
+    return [against(rater, name, feet, changes) for name, feet in groups.items() for rater in RATERS]
 
 
 def main(arguments: list[str] | None = None) -> int:
