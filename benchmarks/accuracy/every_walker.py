@@ -59,6 +59,7 @@ CONTACTS = 50  # of a side, that Vicon's mean is over
 ELSEWHERE_S, ELSEWHERE = 20.0, (0.25, 0.5, 0.75)
 NEXT_S = 0.5  # a stride that begins this soon after the last one's end goes on where that ended
 TIMES = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
+HEALTH = ("healthy", "hemiparetic")  # of the footswitches' people
 COSTS = ("flat_ms", "loading_left_ms")  # of a stride, by a channel from T1 to T4
 
 
@@ -295,7 +296,7 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
     return table
 
 
-def delays_table(found: list[Found]) -> Table:
+def delays_table(found: list[Found], groups: dict[str, list[Found]]) -> Table:
     table = Table(
         "walker", "in order %", "T1 ms", "T2 ms", "T3 ms", "T4 ms", "flat foot stimulated, median ms", "95 % ms",
         "loading left without stimulation, median ms", "95 % ms",
@@ -307,11 +308,8 @@ def delays_table(found: list[Found]) -> Table:
             people[one.person].append(one)
     for person, trials in people.items():
         table.add_row(*delay_cells(person, [t for t in trials if t.run not in DRIFTING]))
-    sound = [t for t in found if t.data_set == "footswitch_treadmill"]
-    sound = [t for t in sound if t.person not in LYING and t.run not in DRIFTING]
-    for name in ("healthy", "hemiparetic"):
-        own = [t for t in sound if t.person.startswith("H") is (name == "healthy")]
-        if own:
+    for name in HEALTH:
+        if own := groups.get(f"footswitch, {name}"):
             table.add_row(*delay_cells(f"{name}, every stride", own))
     return table
 
@@ -353,16 +351,15 @@ def strike_lines(found: list[Found]) -> list[str]:
     return lines
 
 
-def low_lines(found: list[Found]) -> list[str]:
+def low_lines(found: list[Found], groups: dict[str, list[Found]]) -> list[str]:
     """Feet below 90 % of the floor walks, what labels alone say, and who was refused."""
     low = [f for f in found if f.data_set == "stroke_walks" and f.strides and f.share < 90.0]
     lines = []
     if any(f.data_set == "stroke_walks" for f in found):
         each = ", ".join(f"{f.run} {f.sensor.split('_')[0]} {f.share:.0f}" for f in sorted(low, key=lambda f: f.share))
         lines.append(f"stroke_walks, feet below 90 %: {len(low)}: {each}")
-    for part, persons in (("healthy", "H"), ("hemiparetic", "P")):
-        feet = [f for f in found if f.data_set == "footswitch_treadmill" and f.person[0] in persons]
-        feet = [f for f in feet if f.person not in LYING and f.run not in DRIFTING]
+    for part in HEALTH:
+        feet = groups.get(f"footswitch, {part}", [])
         if strides := sum(f.strides for f in feet):
             alone = 100.0 * sum(f.by_labels_alone for f in feet) / strides
             lines.append(f"footswitch, {part}, by the labels alone: {alone:.2f} % of {strides} strides in order")
@@ -383,8 +380,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not found:
         return no_recordings(options.data)
     groups = groups_of(found)
-    tables = [phases_table(groups), lengths_table(groups), delays_table(found)]
-    publish(tables, options, [*strike_lines(found), *low_lines(found)])
+    tables = [phases_table(groups), lengths_table(groups), delays_table(found, groups)]
+    publish(tables, options, [*strike_lines(found), *low_lines(found, groups)])
     if options.raw:
         options.raw.write_text(json.dumps([asdict(f) | {"share": f.share} for f in found]), encoding="utf-8")
     return 0

@@ -12,7 +12,6 @@ every level walk of the data folder, and how many of the strides a tuner leaves 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator
 from itertools import chain, product
 from pathlib import Path
@@ -141,4 +140,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

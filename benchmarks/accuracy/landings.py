@@ -11,7 +11,6 @@ rise is when the heel is 5 mm higher than before it rose. Bars, of each kind: T4
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field, fields
 from itertools import product
 from math import radians
@@ -230,4 +229,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())
