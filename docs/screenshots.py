@@ -22,6 +22,7 @@ from page_browser import Page, chromium  # noqa: E402
 from PIL import Image  # noqa: E402
 from replays import cut, trial  # noqa: E402
 
+from benchmarks.lib.channels import channel, toml  # noqa: E402
 from drivers.simulated.spawn import spawn_imu, spawn_node  # noqa: E402
 from fes.calibration.recording import calibrate_phase_sensors, save  # noqa: E402
 from fes.recording import Recording, write_recording  # noqa: E402
@@ -36,33 +37,16 @@ SEEN_S = 7.0
 WALKED_S = 45
 FES = Path(sys.executable).with_name("fes")
 LARGEST_BYTES = 250_000
-CHANNEL = """
-[[channels]]
-name = "Peroneus, left"
-number = 1
-foot = "left_foot"
-muscle = "peroneus longus"
-electrode_area_cm2 = 25.0
-current_ma = 22.0
-pulse_width_us = 250.0
-frequency_hz = 40.0
-start_phase = "pre_swing"
-stop_phase = "loading_response"
-rise_s = 0.15
-extension_s = 0.06
-fall_s = 0.10
-
-[channels.limits]
-max_current_ma = 30.0
-max_pulse_width_us = 400.0
-max_frequency_hz = 50.0
-max_charge_per_phase_uc = 12.0
-max_charge_per_minute_mc = 20.0
-max_current_density_ma_per_cm2 = 0.5
-max_rise_ma_per_s = 400.0
-max_on_s = 3.0
-min_off_s = 0.1
-"""
+CHANNEL = toml(
+    "[[channels]]",
+    channel(
+        "left_foot", {
+            "max_charge_per_phase_uc": 12.0, "max_charge_per_minute_mc": 20.0, "max_current_density_ma_per_cm2": 0.5,
+            "max_rise_ma_per_s": 400.0,
+        }, name="Peroneus, left", number=1, muscle="peroneus longus", current_ma=22.0, pulse_width_us=250.0,
+        start_phase="pre_swing", stop_phase="loading_response", rise_s=0.15, extension_s=0.06, fall_s=0.10,
+    ),
+)  # fmt: skip
 
 
 def both_feet(folder: Path, recording: Path, stack: ExitStack) -> Bench:
