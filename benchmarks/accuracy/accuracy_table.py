@@ -123,7 +123,7 @@ def arm_rows() -> list[Row]:
     """Lift on pyshoe_vicon, whose marker is not at the sensor, through the arm that fits best."""
     rows = []
     for method in METHODS[:-1]:
-        for errors in clearance_errors(method).values():
+        if errors := clearance_errors(method):
             rows.append(row_of("pyshoe_vicon", LIFT_ARM, "cm", NAMES[method], KNOWN[method], 100.0 * np.array(errors)))
     return rows
 

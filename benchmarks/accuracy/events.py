@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of, verdict
-from benchmarks.lib.real_sets import Case, bundled_cases, data_folder, gaitmap_cases, load_run, runs_of, strike_deg
-from benchmarks.lib.walkers import causal
+from benchmarks.lib.real_sets import Case, bundled_cases, data_folder, gaitmap_cases
+from benchmarks.lib.walkers import causal, stroke_treadmill
 from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import OnlineEvent, OnlineEvents, Rule
 from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
@@ -63,7 +63,7 @@ class Score:
 
 def stroke_tracks(folder: Path) -> list[tuple[str, Track, float]]:
     """Run, foot and Vicon's mean foot-strike angle (deg)."""
-    return [(path.stem, track, strike_deg(path)) for path in runs_of(folder) for track in load_run(path)[0].values()]
+    return [(foot.run, foot.track, foot.strike_deg) for foot in stroke_treadmill(folder, "")]
 
 
 def offline(track: Track, calibration: FootCalibration) -> GaitEvents:
