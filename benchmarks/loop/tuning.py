@@ -317,10 +317,8 @@ class Kept:
 
     def left(self, second: bool, seed: int, trials: Sequence[str], arms: Sequence[str]) -> tuple[list[str], list[str]]:
         """The trials and the arms in which something of these is not there yet."""
-        lacking = [(name, arm) for name in trials for arm in arms if not self.has(second, seed, name, [arm])]
-        return [name for name in trials if any(name == one for one, _ in lacking)], [
-            arm for arm in arms if any(arm == other for _, other in lacking)
-        ]
+        names = [name for name in trials if not self.has(second, seed, name, arms)]
+        return names, [arm for arm in arms if not all(self.has(second, seed, name, [arm]) for name in trials)]
 
     def add(self, second: bool, seed: int, walked: dict[str, dict[str, Result]]) -> None:
         """What a person's walks brought, by trial and arm."""
