@@ -148,8 +148,8 @@ def rest_rows(folder: Path) -> list[Row]:
     rows = []
     for detector in Detector if walks else ():
         for known in (CAUSAL, OFFLINE):
-            r = evaluate_detector(detector, walks, use_standing=True, causal=known == CAUSAL)
-            rows.append(f1_row("pyshoe_vicon", f"fes {r.detector.name}", known, len(walks), r.f1, r.recall, r.worst_f1))
+            f1, _, recall, worst = evaluate_detector(detector, walks, use_standing=True, causal=known == CAUSAL)
+            rows.append(f1_row("pyshoe_vicon", f"fes {detector.name}", known, len(walks), f1, recall, worst))
     return rows
 
 

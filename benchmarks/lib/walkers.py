@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.lib.real_sets import (
     PathWalk,
     Walk,
-    gaitmap_cases,
+    gaitmap_events,
     gaitmap_walk,
     load_run,
     marker_strides,
@@ -97,8 +97,9 @@ def measured_walks(walks: Iterable[Walk], part: str, person: Callable[[str], str
 
 
 def gaitmap(folder: Path, part: str) -> Iterator[Foot]:
-    for walk, case in zip(gaitmap_walk(folder), gaitmap_cases(folder), strict=True):
-        yield Foot("gaitmap_walk", part, "adult", walk.name, walk.track, walk=walk, ic_s=case.ic_s, fo_s=case.fo_s)
+    for walk in gaitmap_walk(folder):
+        ic_s, fo_s = gaitmap_events(folder, walk.name, "ic", "tc").T
+        yield Foot("gaitmap_walk", part, "adult", walk.name, walk.track, walk=walk, ic_s=ic_s, fo_s=fo_s)
 
 
 def footswitch_treadmill(folder: Path, part: str) -> Iterator[Foot]:
