@@ -103,7 +103,8 @@ bench: $(VENV)/dev.stamp $(PEERS)/peers.stamp
 	$(BIN)/python benchmarks/speed/speed_table.py --peers $(PEERS)/bin/python --keep; $(BIN)/python benchmarks/lib/figures.py
 
 bench-accuracy: $(VENV)/dev.stamp $(PEERS)/peers.stamp
-	$(BIN)/python benchmarks/accuracy/accuracy_table.py --peers $(PEERS)/bin/python
+	$(BIN)/python benchmarks/accuracy/accuracy_table.py --peers $(PEERS)/bin/python \
+	  --json benchmarks/results/accuracy.json && $(BIN)/python benchmarks/lib/figures.py
 
 # What a page says of figures is rendered from benchmarks/results/; benchmarks/lib/figures.py says how.
 figures: $(VENV)/dev.stamp

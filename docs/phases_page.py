@@ -314,17 +314,12 @@ def limits(stride: Shown, of: str, names: Sequence[str]) -> Iterator[tuple[str, 
             threshold = next((name for name in THRESHOLDS_OF_T if name in each[0].limit_is), "")
             if not threshold:
                 continue
-            words = f"{row.transition.name} {threshold}"
+            words, values = f"{row.transition.name} {threshold}", [term.limit for term in each]
             if "|" in what:
-                yield (
-                    row.transition.name,
-                    f"{row.transition.name} ±{threshold}",
-                    asked[0],
-                    [term.limit for term in each],
-                )
+                yield row.transition.name, f"{row.transition.name} ±{threshold}", asked[0], values
                 words = ""
             sign = -1.0 if what.startswith(("−", "|")) else 1.0
-            yield row.transition.name, words, asked[0], [sign * term.limit for term in each]
+            yield row.transition.name, words, asked[0], [sign * value for value in values]
 
 
 def panel(stride: Shown, panel_of: Panel, top: float, across: Callable[[float], float]) -> Iterator[str]:

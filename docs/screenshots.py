@@ -19,9 +19,10 @@ sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
 
 from live_runs import Bench, LiveRun, bus_text, live_run, sensor_text, standing_first  # noqa: E402
 from page_browser import Page, chromium  # noqa: E402
+from PIL import Image  # noqa: E402
 from replays import cut, trial  # noqa: E402
-from small_png import smaller  # noqa: E402
 
+from benchmarks.lib.channels import channel, toml  # noqa: E402
 from drivers.simulated.spawn import spawn_imu, spawn_node  # noqa: E402
 from fes.calibration.recording import calibrate_phase_sensors, save  # noqa: E402
 from fes.recording import Recording, write_recording  # noqa: E402
@@ -36,33 +37,16 @@ SEEN_S = 7.0
 WALKED_S = 45
 FES = Path(sys.executable).with_name("fes")
 LARGEST_BYTES = 250_000
-CHANNEL = """
-[[channels]]
-name = "Peroneus, left"
-number = 1
-foot = "left_foot"
-muscle = "peroneus longus"
-electrode_area_cm2 = 25.0
-current_ma = 22.0
-pulse_width_us = 250.0
-frequency_hz = 40.0
-start_phase = "pre_swing"
-stop_phase = "loading_response"
-rise_s = 0.15
-extension_s = 0.06
-fall_s = 0.10
-
-[channels.limits]
-max_current_ma = 30.0
-max_pulse_width_us = 400.0
-max_frequency_hz = 50.0
-max_charge_per_phase_uc = 12.0
-max_charge_per_minute_mc = 20.0
-max_current_density_ma_per_cm2 = 0.5
-max_rise_ma_per_s = 400.0
-max_on_s = 3.0
-min_off_s = 0.1
-"""
+CHANNEL = toml(
+    "[[channels]]",
+    channel(
+        "left_foot", {
+            "max_charge_per_phase_uc": 12.0, "max_charge_per_minute_mc": 20.0, "max_current_density_ma_per_cm2": 0.5,
+            "max_rise_ma_per_s": 400.0,
+        }, name="Peroneus, left", number=1, muscle="peroneus longus", current_ma=22.0, pulse_width_us=250.0,
+        start_phase="pre_swing", stop_phase="loading_response", rise_s=0.15, extension_s=0.06, fall_s=0.10,
+    ),
+)  # fmt: skip
 
 
 def both_feet(folder: Path, recording: Path, stack: ExitStack) -> Bench:
@@ -97,15 +81,16 @@ def walking(run: LiveRun, page: Page) -> None:
 
 
 def taken(page: Page, name: str) -> None:
-    """Keep the picture, and say how large it is."""
+    """Keep the picture in docs."""
     page.picture(ROOT / "docs" / name)
-    kept(name, (ROOT / "docs" / name).read_bytes())
+    smaller(name)
 
 
-def kept(name: str, png: bytes) -> None:
-    """The picture in 256 colours, in docs."""
+def smaller(name: str) -> None:
+    """A picture of docs in 256 colours, a quarter of the bytes, and how large it is then."""
     path = ROOT / "docs" / name
-    path.write_bytes(smaller(png))
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
     print(f"{path.relative_to(ROOT)}  {size / 1000:.0f} kB")
     if size > LARGEST_BYTES:
@@ -163,18 +148,13 @@ def report() -> None:
         page.go(demo.as_uri())
         taken(page, "report_desktop.png")
         printed = b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
-        (folder / "report.pdf").write_bytes(printed)
-        run(
-            ["pdftoppm", "-r", "110", "-l", "1", "-singlefile", "-png", folder / "report.pdf", folder / "print"],
-            check=True,
-        )
-        kept("report_print.png", (folder / "print.png").read_bytes())
-        write_recording(hemiparetic_walk(), folder / "hemiparetic.parquet")
-        run(
-            [FES, "analyse", folder / "hemiparetic.parquet", "--hemiparetic", "--out", folder],
-            check=True,
-            stdout=DEVNULL,
-        )
+        pdf, png = folder / "report.pdf", ROOT / "docs" / "report_print"
+        pdf.write_bytes(printed)
+        run(["pdftoppm", "-r", "110", "-l", "1", "-singlefile", "-png", pdf, png], check=True)
+        smaller("report_print.png")
+        walked = folder / "hemiparetic.parquet"
+        write_recording(hemiparetic_walk(), walked)
+        run([FES, "analyse", walked, "--hemiparetic", "--out", folder], check=True, stdout=DEVNULL)
         (walk,) = folder.glob("hemiparetic-*/report.html")
         page.size(820, 1180, touch=True)
         page.go(walk.as_uri())

@@ -178,9 +178,7 @@ def test_the_example_of_a_sidecar_is_valid():
         Sidecar.model_validate(data)
 
 
-RENDERED = re.compile(
-    r"<!-- (?:figures|begin|tuning results).*?<!-- end(?: of figures| of tuning results)? -->|<!--.*?-->", re.DOTALL
-)
+RENDERED = re.compile(r"<!-- (?:figures|begin).*?<!-- end(?: of figures)? -->|<!--.*?-->", re.DOTALL)
 
 
 def test_what_a_user_has_to_read_grows_no_longer():

@@ -38,7 +38,7 @@ def test_every_result_is_on_a_page_and_can_be_made_again(figures):
         assert (ROOT / "benchmarks" / figures.arguments_of(name)[0]).is_file()
     assert {*figures.QUICK, *figures.ELSEWHERE} <= shown
     kept = {path.stem for path in figures.RESULTS.glob("*.json")}
-    assert kept - {"accuracy"} == shown, "results that no page shows; accuracy.json has a page of its own"
+    assert kept == shown, "results that no page shows"
 
 
 def test_a_page_gets_its_tables_with_their_source_and_its_constants(figures, kept, tmp_path):
@@ -143,7 +143,7 @@ def test_what_a_benchmark_prints_is_what_it_keeps(figures, tmp_path, capsys, mon
     path = tmp_path / "one.json"
     monkeypatch.setattr(sys, "argv", ["benchmarks/lib/one.py", "--feet", "3", "--json", str(path), "--jobs=2"])
     options = command_line.parser_of("One.").parse_args(["--json", str(path)])
-    command_line.publish(command_line.console_of(80), [table], options, ["[x] stays as it is."])
+    command_line.publish([table], options, ["[x] stays as it is."])
     assert "[x] stays as it is." in capsys.readouterr().out
     kept = figures.Result.read(path)
     assert (kept.command, kept.notes) == ("python benchmarks/lib/one.py --feet 3", ["[x] stays as it is."])

@@ -1,14 +1,16 @@
-"""The lines of the accuracy table, made from errors in the same way for us and every peer; its bars; and its page."""
+"""The lines of the accuracy table, made from errors in the same way for us and every peer; its bars; and its tables."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rich.table import Table
+
+from benchmarks.lib.command_line import table_of
 
 OURS = "fes"
 CAUSAL, OFFLINE = "causal", "off-line"
@@ -41,10 +43,6 @@ class Row:
     @property
     def ours(self) -> bool:
         return self.method.startswith(OURS)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values, None instead of NaN."""
-        return {key: None if isinstance(v, float) and v != v else v for key, v in asdict(self).items()}
 
 
 def row_of(
@@ -133,34 +131,9 @@ def with_bar(row: Row) -> Row:
     return replace(row, bar=bar.words, bar_met=bool(bar.reached(row)))
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
+# --- the tables -------------------------------------------------------------------------------------------------------
 
 HEAD = ("method", "known", "n", "bias", "SD", "RMSE", "worst", "recall", "met", "note")
-PREAMBLE = """# Accuracy, ours and others'
-
-Made by `make bench-accuracy` from the recordings in `$FES_DATA` or `../shared/data`; do not edit.
-
-One default setting everywhere. Errors are estimate − truth; worst is the greatest absolute error; recall is the share
-of what the reference holds that was found, n what the errors were counted on. *causal*: known at the latest when the
-stride or event is over; *off-line*: the method looks at the whole recording.
-
-*Reference borders* are those of the data set. Not all methods end a stride at exactly these instants: our two stride
-solvers move each border to the quietest instant within 50 ms, and are held against the truth between the moved borders;
-our ZUPT filter and the peers stay at the given ones, and are held against the truth there. So that one comparison is
-like for like, three peers are also run between the borders that our solver chose, against the same truth: the rows
-*our ends*. The strides that count are the same for all: those that the reference disputes, shuffles under 0.3 m and its
-glitches are left out. But our solvers leave out some more, which they call invalid or which lie outside the walking
-that the phase machine saw; n and recall show it.
-
-*Own detection*: the reference is asked at the ends that each method found itself, and the strides it did not find show
-in the recall alone. On the treadmill, where no reference borders exist, peers get those that our tracker found; `own
-detection` is a peer's own.
-
-Peers run with the defaults of their documentation, and all get axes x forward, y left, z up and a gyroscope free of the
-bias found in a standing second, which is more help than our own methods get. What they do and where that departs from
-their documentation stands in `benchmarks/peers/`. The figures of our own methods are in-sample as docs/accuracy.md
-says: their constants were chosen with these recordings at hand.
-"""
 
 
 def in_order(rows: list[Row]) -> list[Row]:
@@ -207,17 +180,12 @@ def verdicts(rows: list[Row]) -> list[str]:
     return lines
 
 
-def markdown(rows: list[Row], notes: list[str]) -> str:
-    parts = [PREAMBLE, *(f"\n{note}\n" for note in notes), "\n## The bars\n\n"]
-    parts += [f"- {line}\n" for line in verdicts(rows)]
-    for data_set, of_set in groupby(rows, lambda row: row.data_set):
-        parts.append(f"\n## {data_set}\n")
-        for group in groups(list(of_set)):
-            bar = bar_of(group)
-            parts.append(f"\n### {group[0].quantity} ({group[0].unit})\n\n" + (f"Bar: {bar}.\n\n" if bar else ""))
-            parts.append("| " + " | ".join(HEAD) + " |\n|" + " --- |" * len(HEAD) + "\n")
-            for row in group:
-                texts = cells(row)
-                texts[0] = f"**{texts[0]}**" if row.ours else texts[0]
-                parts.append("| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |\n")
-    return "".join(parts)
+def tables(rows: list[Row]) -> list[Table]:
+    """One for each quantity of each data set, our methods in bold."""
+    found = []
+    for group in groups(rows):
+        bar = bar_of(group)
+        title = f"{group[0].data_set}: {group[0].quantity} ({group[0].unit})" + (f"; bar: {bar}" if bar else "")
+        texts = ([f"**{name}**" if row.ours else name, *others] for row in group for name, *others in [cells(row)])
+        found.append(table_of(title, HEAD, texts))
+    return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, mean_sd, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import mean_sd, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import trials
 from benchmarks.lib.walkers import outcomes_of
 from fes.calibration.recording import calibrate_track
@@ -63,10 +63,9 @@ def main(arguments: list[str] | None = None) -> int:
             cells = [mean_sd(e, 0 if c.endswith("ms") else 2) for c, e in zip(COLUMNS, errors.T, strict=True)]
             counts = len(true), len(pairs), sum(in_order(s) for s, _ in pairs)
             rows.append([recording.name, foot, *map(str, counts), *cells])
-    console = console_of(150)
     table = table_of("", ("trial", "foot", "strides", "found", "4 phases", *COLUMNS), rows)
-    publish(console, [table], options, ["Errors are estimate − truth, mean ± SD."])
-    return verdict(console, held)
+    publish([table], options, ["Errors are estimate − truth, mean ± SD."])
+    return verdict(held)
 
 
 if __name__ == "__main__":

@@ -20,9 +20,9 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.orientation import broad
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
-from benchmarks.lib.walkers import feet_of
+from benchmarks.lib.walkers import FOOT_SETS, feet_of
 from benchmarks.loop.tuning_cohort import chosen
 from fes.calibration.recording import calibrate_track
 from fes.datasets.common import even_track
@@ -38,7 +38,6 @@ WALKED_S, STOOD_S, SHAKEN_S = 25, 30, 30.0
 PLANTED = 60
 NEAR_DEG, SHARE_NEAR = 8.0, 0.95
 SLOW_MPS = 0.36
-SETS = ("stroke_treadmill", "pyshoe_vicon", "ruler_walks", "gaitmap_walk", "footswitch_treadmill", "stroke_walks")
 FAULT_WORDS = (
     "backward", "sideways", "strides found", "no one way forward", "uncertain", "too slow to turn", "off gravity",
     "quietest",
@@ -143,7 +142,7 @@ def planted(
         yield "shaken by hand", "", shaken(number), track
     for trial in broad(data):
         yield "a board", "", even_track("right_foot", trial.rate_hz, trial.acc_mps2, trial.gyr_radps), track
-    for foot in feet_of(data, SETS):
+    for foot in feet_of(data, FOOT_SETS):
         yield f"{foot.data_set}, backward", "backward", reversed_in_time(foot.track), foot.track
 
 
@@ -200,7 +199,6 @@ def main(arguments: list[str] | None = None) -> int:
         feet.append(judged(seed, settings, track))
         if len(sources) < PLANTED:
             sources.append((settings, track, in_room))
-    console = console_of(170)
     counts: dict[str, Counter[str]] = {}
     for name, word, track, source in planted(sources, options.data):
         counts.setdefault(name, Counter())[outcome(word, track, source)] += 1
@@ -214,10 +212,10 @@ def main(arguments: list[str] | None = None) -> int:
         for one in feet
         if one.refused or abs(one.error_deg) > NEAR_DEG
     ]
-    publish(console, [axis_table(feet), table], options, off)
+    publish([axis_table(feet), table], options, off)
     near = sum(abs(one.error_deg) <= NEAR_DEG for one in feet) >= SHARE_NEAR * len(feet)
     signs = not any(abs(one.error_deg) > 90.0 for one in feet)
-    return verdict(console, near and signs and not any(one.refused for one in feet))
+    return verdict(near and signs and not any(one.refused for one in feet))
 
 
 if __name__ == "__main__":

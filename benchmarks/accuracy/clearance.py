@@ -10,7 +10,7 @@ levels of the recording. Bar: mean within 0.3 cm, SD within 0.6 cm.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, filtfilt
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import MARKERS_HZ, STRAIGHT_RAD, data_folder, gaitmap_markers, gaitmap_walk, trials
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
@@ -38,11 +38,12 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
-from fes.simulation.truth import TruthStride
 
 GRID_HZ = 200.0
 LOW_PASS_HZ = 6.0
 BAR_M = (0.003, 0.006)
+# all paths of a foot, its points by how they are known, and the paths that are judged with their true clearances (m)
+JudgedFoot = tuple[list[FootPath], dict[str, FootArms], list[tuple[FootPath, tuple[float, float]]]]
 
 
 @dataclass(frozen=True)
@@ -146,47 +147,40 @@ def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
 
 def marker_rows(folder: Path) -> Iterator[Row]:
     """The walk with markers, both feet together, straight strides."""
-    sides = marked_strides(folder)
-    for name, anchored in product(("given", "given, not sideways", "estimated") if sides else (), (False, True)):
-        errors = []
-        for strides in sides.values():
-            arms = arms_by_geometry(strides)[name]
-            levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
-            for stride in (stride for stride in strides if stride.straight):
-                found = clearances([stride.path], arms, levels)[0, [TOE, HEEL]]
-                errors.append(np.subtract(found, stride.truth()))
-        yield _row("gaitmap_walk, markers", name, anchored, errors)
-
-
-def trial_rows() -> Iterator[Row]:
-    """The bundled trials, all feet together, steady strides."""
-    for kind, anchored in product(("given", "estimated"), (False, True)):
-        errors = []
-        for truth, geometry, paths in trial_paths():
-            arms = arms_of(estimate_geometry(paths).geometry) if kind == "estimated" else geometry
-            levels = contact_levels(contact_heights(paths, arms)) if anchored else None
-            for true in (each for each in truth if each.steady and each.walking):
-                path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
-                if path is not None:
-                    found = clearances([path], arms, levels)[0, [TOE, HEEL]]
-                    errors.append(np.subtract(found, (true.toe_clearance_m, true.heel_clearance_m)))
-        yield _row("bundled trials", kind, anchored, errors)
+    feet = []
+    for strides in marked_strides(folder).values():
+        judged = [(stride.path, stride.truth()) for stride in strides if stride.straight]
+        feet.append(([stride.path for stride in strides], arms_by_geometry(strides), judged))
+    return _rows("gaitmap_walk, markers", feet)
 
 
 @cache
-def trial_paths() -> list[tuple[list[TruthStride], FootArms, list[FootPath]]]:
-    """Of each foot of the bundled trials its true strides, its true arms and its strides' paths."""
-    return [
-        (truth.strides_of(foot), arms_of(geometry), walked(recording.tracks[foot])[1])
-        for _, recording, truth in trials()
-        for foot, geometry in recording.geometry.items()
-    ]
+def trial_rows() -> list[Row]:
+    """The bundled trials, all feet together, steady strides."""
+    feet = []
+    for _, recording, truth in trials():
+        for foot, geometry in recording.geometry.items():
+            _, paths = walked(recording.tracks[foot])
+            arms = {"given": arms_of(geometry), "estimated": arms_of(estimate_geometry(paths).geometry)}
+            judged = []
+            for true in (each for each in truth.strides_of(foot) if each.steady and each.walking):
+                path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
+                if path is not None:
+                    judged.append((path, (true.toe_clearance_m, true.heel_clearance_m)))
+            feet.append((paths, arms, judged))
+    return list(_rows("bundled trials", feet))
 
 
-def _row(data: str, geometry: str, anchored: bool, errors: list[FloatArray]) -> Row:
-    mean, sd = np.mean(errors, axis=0), np.std(errors, axis=0, ddof=1)
-    toe, heel = ((float(mean[k]), float(sd[k])) for k in range(2))
-    return Row(data, geometry, anchored, len(errors), toe, heel)
+def _rows(data: str, feet: Sequence[JudgedFoot]) -> Iterator[Row]:
+    for geometry, anchored in product(feet[0][1] if feet else (), (False, True)):
+        errors = []
+        for paths, arms_of_foot, judged in feet:
+            arms = arms_of_foot[geometry]
+            levels = contact_levels(contact_heights(paths, arms)) if anchored else None
+            errors += [clearances([path], arms, levels)[0, [TOE, HEEL]] - true for path, true in judged]
+        mean, sd = np.mean(errors, axis=0), np.std(errors, axis=0, ddof=1)
+        toe, heel = ((float(mean[k]), float(sd[k])) for k in range(2))
+        yield Row(data, geometry, anchored, len(errors), toe, heel)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -202,7 +196,7 @@ def main(arguments: list[str] | None = None) -> int:
         for name, arms in arms_by_geometry(strides).items():
             toe, heel = (" ".join(f"{100.0 * part:+.1f}" for part in arm) for arm in (arms.toe_m, arms.heel_m))
             arms_told.append(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
-    publish(console_of(120), [table], options, arms_told, folder=data_folder())
+    publish([table], options, arms_told, folder=data_folder())
     return 0 if marked_strides(data_folder()) else no_recordings(data_folder())
 
 

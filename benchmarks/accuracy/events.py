@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
-from benchmarks.lib.real_sets import Case, bundled_cases, data_folder, gaitmap_cases, load_run, strike_deg
-from benchmarks.lib.walkers import causal
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of, verdict
+from benchmarks.lib.real_sets import Case, bundled_cases, data_folder, gaitmap_cases
+from benchmarks.lib.walkers import causal, stroke_treadmill
 from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import OnlineEvent, OnlineEvents, Rule
 from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
@@ -63,8 +63,7 @@ class Score:
 
 def stroke_tracks(folder: Path) -> list[tuple[str, Track, float]]:
     """Run, foot and Vicon's mean foot-strike angle (deg)."""
-    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
-    return [(path.stem, track, strike_deg(path)) for path in paths for track in load_run(path)[0].values()]
+    return [(foot.run, foot.track, foot.strike_deg) for foot in stroke_treadmill(folder, "")]
 
 
 def offline(track: Track, calibration: FootCalibration) -> GaitEvents:
@@ -200,12 +199,11 @@ def main(arguments: list[str] | None = None) -> int:
          f"{s.mean_ms:+.1f} ± {s.sd_ms:.1f}", *(f"{x:+.0f}" for x in (s.median_ms, s.p95_ms, s.least_ms, s.most_ms))]
         for s in scores
     ]  # fmt: skip
-    console = console_of(170)
-    publish(console, [table_of("", (*columns, "median", "95 %", "least", "most"), rows)], options, lines)
+    publish([table_of("", (*columns, "median", "95 %", "least", "most"), rows)], options, lines)
     if not there:
         return no_recordings(options.data)
     judged = [s for s in scores if s.data == "gaitmap_walk" and s.method in ("off-line", "causal, instants")]
-    return verdict(console, all(map(holds, judged)) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1])
+    return verdict(all(map(holds, judged)) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1])
 
 
 if __name__ == "__main__":

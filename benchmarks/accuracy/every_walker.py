@@ -9,6 +9,7 @@ A refused foot has no stride in order. ``--raw`` keeps everything, so that two v
 
 from __future__ import annotations
 
+import json
 import os
 from collections import defaultdict
 from collections.abc import Iterable
@@ -19,14 +20,15 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, save
-from benchmarks.lib.real_sets import LAST_S, PathWalk, Walk, data_folder, marker_strides
+from benchmarks.lib.command_line import no_recordings, parser_of, publish
+from benchmarks.lib.real_sets import LAST_S, Walk, data_folder
 from benchmarks.lib.swing_judge import (
     IN_ORDER,
     Labelled,
     answered,
     fired_by_stride,
     in_order,
+    later_ms,
     pairs,
     score,
     swing_phases,
@@ -57,6 +59,7 @@ CONTACTS = 50  # of a side, that Vicon's mean is over
 ELSEWHERE_S, ELSEWHERE = 20.0, (0.25, 0.5, 0.75)
 NEXT_S = 0.5  # a stride that begins this soon after the last one's end goes on where that ended
 TIMES = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
+HEALTH = ("healthy", "hemiparetic")  # of the footswitches' people
 COSTS = ("flat_ms", "loading_left_ms")  # of a stride, by a channel from T1 to T4
 
 
@@ -80,10 +83,7 @@ class Found:
     speed_offline: float = float("nan")
     fast: int = 0  # swings of cycles that last less than FAST_S, …
     fast_answered: int = 0  # … and those of them with a length
-    length_cm: list[float] = field(default_factory=list)
-    length_fast: list[bool] = field(default_factory=list)
-    length_causal_cm: list[float] = field(default_factory=list)
-    length_causal_fast: list[bool] = field(default_factory=list)
+    length_cm: dict[str, list[float]] = field(default_factory=dict)  # off-line and causal, usual and fast
     events: int = 0
     strike_deg: list[float] = field(default_factory=list)
     vicon_deg: float = float("nan")
@@ -119,19 +119,15 @@ def cycle_s(swings: Swings, stride: StrideResult) -> float:
     return 1e-9 * float(near.min()) if len(near) else float("inf")
 
 
-def cycles_s(swings: Swings) -> list[float]:
-    """The time from each whole swing to the one before or after, the shorter of both."""
-    gaps_s = np.append(1e-9 * np.diff(swings.sure), np.inf)
-    at = np.searchsorted(swings.sure, swings.whole())
-    return [float(gap_s) for gap_s in np.minimum(gaps_s[at], gaps_s[at - 1])]
-
-
-def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -> tuple[list[float], list[bool]]:
-    """Errors of length (cm) of the strides that the reference can judge, and whether each was fast."""
-    judged = [(s, walk.true_length_m(s)) for s in strides if s.valid and walk.comparable(s)]
-    judged = [(s, true_m) for s, true_m in judged if np.isfinite(true_m)]
-    errors = [100.0 * (s.stride_length_m - true_m) for s, true_m in judged]
-    return errors, [cycle_s(swings, s) < FAST_S for s, _ in judged]
+def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult], how: str) -> dict[str, list[float]]:
+    """Errors of length (cm) of the strides that the reference can judge, those of fast cycles apart."""
+    errors: dict[str, list[float]] = {how: [], f"{how}, fast": []}
+    for stride in strides:
+        true_m = walk.true_length_m(stride) if stride.valid and walk.comparable(stride) else float("nan")
+        if np.isfinite(true_m):
+            fast = ", fast" if cycle_s(swings, stride) < FAST_S else ""
+            errors[how + fast].append(100.0 * (stride.stride_length_m - true_m))
+    return errors
 
 
 def judge(foot: Foot) -> Found:
@@ -151,8 +147,9 @@ def judge(foot: Foot) -> Found:
     counts = score(swings, changes, strides)
     found.false_swings, found.answered, found.explained = counts.false_swings, counts.answered, counts.explained
     found.in_order = counts.in_order
-    fast = [at for at, around_s in zip(swings.whole().tolist(), cycles_s(swings), strict=True) if around_s < FAST_S]
-    found.fast, found.fast_answered = len(fast), sum(answered(strides, at) for at in fast)
+    gaps_s, at = np.append(1e-9 * np.diff(swings.sure), np.inf), np.searchsorted(swings.sure, swings.whole())
+    fast = swings.whole()[np.minimum(gaps_s[at], gaps_s[at - 1]) < FAST_S].tolist()
+    found.fast, found.fast_answered = len(fast), sum(answered(strides, at_ns) for at_ns in fast)
     if foot.labels is not None:
         against_labels(found, foot.labels, swings, changes)
     recording = Recording(foot.run, None, {track.sensor: track}, belt_speed_mps=None)
@@ -163,8 +160,8 @@ def judge(foot: Foot) -> Found:
         found.speed_causal = speed_mps(strides, since_ns) / foot.belt_mps
         found.speed_offline = speed_mps(offline, since_ns) / foot.belt_mps
     if foot.walk is not None:
-        found.length_cm, found.length_fast = length_errors(foot.walk, swings, offline)
-        found.length_causal_cm, found.length_causal_fast = length_errors(foot.walk, swings, strides)
+        found.length_cm = length_errors(foot.walk, swings, offline, "off-line")
+        found.length_cm |= length_errors(foot.walk, swings, strides, "causal")
     if isinstance(calibration, FootCalibration):
         events = result.events[track.sensor]
         found.events = len(events.ic_ns)
@@ -208,13 +205,11 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
 
 def against_markers(found: Found, foot: Foot, changes: list[PhaseChange]) -> None:
     """How much later than the markers' T1 to T4 each is; heel rise by the simulated truth's 5 mm, flat by its 2°."""
-    assert isinstance(foot.walk, PathWalk)
-    strides = list(marker_strides(foot.walk, np.sort(foot.ic_s), np.sort(foot.fo_s)))
+    strides = foot.marked_strides()
     rise_s, flat_s = ([s[key] for s in strides if key in s] for key in ("t_pre_swing_s", "t_stance_s"))
     for name, known_s in (("T1", rise_s), ("T2", foot.fo_s), ("T3", foot.ic_s), ("T4", flat_s)):
-        times = np.array([1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name])
-        nearest = [times[np.argmin(np.abs(times - t))] - t for t in known_s] if len(times) else []
-        found.later_ms[name] = [1e3 * float(d) for d in nearest if abs(d) < 0.25]
+        times_s = [1e-9 * (c.t_ns - foot.track.t_ns[0]) for c in changes if c.transition.name == name]
+        found.later_ms[name] = later_ms(times_s, known_s, 250.0)
 
 
 def calibrated_elsewhere(found: Found, foot: Foot, swings: Swings, changes: list[PhaseChange]) -> None:
@@ -292,12 +287,8 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
             ratios = np.array([getattr(f, kind) for f in feet if np.isfinite(getattr(f, kind))])
             far = ratios[np.argmax(np.abs(ratios - 1.0))] if len(ratios) else 0.0
             cells += [f"{ratios.mean():.4f} ± {ratios.std(ddof=1):.4f}", f"{far:.3f}"] if len(ratios) > 1 else ["–"] * 2
-        for kind in ("length", "length_causal"):
-            for fast in (False, True):
-                rows = [(getattr(f, f"{kind}_cm"), getattr(f, f"{kind}_fast")) for f in feet]
-                cells.append(
-                    rms(e for errors, flags in rows for e, flag in zip(errors, flags, strict=True) if flag is fast)
-                )
+        for kind in ("off-line", "off-line, fast", "causal", "causal, fast"):
+            cells.append(rms(error for f in feet for error in f.length_cm.get(kind, ())))
         told = percent(sum(f.fast_answered for f in feet), sum(f.fast for f in feet))
         cells.append(told if feet[0].data_set in ("pyshoe_vicon", "ruler_walks") else "–")
         if any(cell != "–" for cell in cells):
@@ -305,7 +296,7 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
     return table
 
 
-def delays_table(found: list[Found]) -> Table:
+def delays_table(found: list[Found], groups: dict[str, list[Found]]) -> Table:
     table = Table(
         "walker", "in order %", "T1 ms", "T2 ms", "T3 ms", "T4 ms", "flat foot stimulated, median ms", "95 % ms",
         "loading left without stimulation, median ms", "95 % ms",
@@ -317,11 +308,8 @@ def delays_table(found: list[Found]) -> Table:
             people[one.person].append(one)
     for person, trials in people.items():
         table.add_row(*delay_cells(person, [t for t in trials if t.run not in DRIFTING]))
-    sound = [t for t in found if t.data_set == "footswitch_treadmill"]
-    sound = [t for t in sound if t.person not in LYING and t.run not in DRIFTING]
-    for name in ("healthy", "hemiparetic"):
-        own = [t for t in sound if t.person.startswith("H") is (name == "healthy")]
-        if own:
+    for name in HEALTH:
+        if own := groups.get(f"footswitch, {name}"):
             table.add_row(*delay_cells(f"{name}, every stride", own))
     return table
 
@@ -363,16 +351,15 @@ def strike_lines(found: list[Found]) -> list[str]:
     return lines
 
 
-def low_lines(found: list[Found]) -> list[str]:
+def low_lines(found: list[Found], groups: dict[str, list[Found]]) -> list[str]:
     """Feet below 90 % of the floor walks, what labels alone say, and who was refused."""
     low = [f for f in found if f.data_set == "stroke_walks" and f.strides and f.share < 90.0]
     lines = []
     if any(f.data_set == "stroke_walks" for f in found):
         each = ", ".join(f"{f.run} {f.sensor.split('_')[0]} {f.share:.0f}" for f in sorted(low, key=lambda f: f.share))
         lines.append(f"stroke_walks, feet below 90 %: {len(low)}: {each}")
-    for part, persons in (("healthy", "H"), ("hemiparetic", "P")):
-        feet = [f for f in found if f.data_set == "footswitch_treadmill" and f.person[0] in persons]
-        feet = [f for f in feet if f.person not in LYING and f.run not in DRIFTING]
+    for part in HEALTH:
+        feet = groups.get(f"footswitch, {part}", [])
         if strides := sum(f.strides for f in feet):
             alone = 100.0 * sum(f.by_labels_alone for f in feet) / strides
             lines.append(f"footswitch, {part}, by the labels alone: {alone:.2f} % of {strides} strides in order")
@@ -392,10 +379,11 @@ def main(arguments: list[str] | None = None) -> int:
     found = of_all(judge, feet, options.jobs)
     if not found:
         return no_recordings(options.data)
-    console, groups = console_of(190), groups_of(found)
-    tables = [phases_table(groups), lengths_table(groups), delays_table(found)]
-    publish(console, tables, options, [*strike_lines(found), *low_lines(found)])
-    save([asdict(f) | {"share": f.share} for f in found], options.raw)
+    groups = groups_of(found)
+    tables = [phases_table(groups), lengths_table(groups), delays_table(found, groups)]
+    publish(tables, options, [*strike_lines(found), *low_lines(found, groups)])
+    if options.raw:
+        options.raw.write_text(json.dumps([asdict(f) | {"share": f.share} for f in found]), encoding="utf-8")
     return 0
 
 

@@ -12,22 +12,20 @@ every level walk of the data folder, and how many of the strides a tuner leaves 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
+from benchmarks.lib.command_line import parser_of, publish, table_of
 from benchmarks.lib.real_sets import data_folder, stairs
-from benchmarks.lib.walkers import SETS, calibrated, feet_of, outcomes_of
+from benchmarks.lib.walkers import FOOT_SETS, calibrated, feet_of, outcomes_of
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.config import FootGeometry, Ground
 from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Recording, Track
-from fes.signals import StrideResult
+from fes.signals import FloatArray, StrideResult
 from fes.simulation.truth import Truth, TruthStride
 from fes.stimulation.ground import GroundWatch
 from sim_inputs.generator.observe import observe
@@ -41,18 +39,6 @@ WALKERS = {
 }
 SEEDS = (9100, 9101, 9102)
 WAYS = ("analyse", "live", "live, elsewhere", "--slope", "as level")
-
-
-@dataclass
-class Clearance:
-    """Errors of one walker on one incline by one way, cm."""
-
-    walker: str
-    incline_percent: float
-    way: str
-    toe_cm: list[float]
-    heel_cm: list[float]
-    length_cm: list[float]
 
 
 def walked(walker: str, incline_percent: float, seed: int) -> tuple[Recording, Truth]:
@@ -74,7 +60,8 @@ def live_strides(
     return [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
 
 
-def clearances(walker: str) -> Iterator[Clearance]:
+def clearance_errors(walker: str) -> Iterator[tuple[float, str, FloatArray]]:
+    """Of each walk the incline (%), a way, and its errors (K, 3) in cm of toe and heel clearance and of length."""
     for seed, incline in product(SEEDS, INCLINES_PERCENT):
         if incline == INCLINES_PERCENT[0]:
             level = calibrations_of(walked(walker, 0.0, seed)[0])[1].calibrations
@@ -92,13 +79,11 @@ def clearances(walker: str) -> Iterator[Clearance]:
             else:
                 given = {"analyse": ground, "--slope": Ground(free=True), "as level": Ground()}[way]
                 found = analyse(recording, ground=given).strides
-            pairs = list(paired(found, truth))
-            yield Clearance(
-                walker, incline, way,
-                [100.0 * (mine.toe_clearance_m - true.toe_clearance_m) for mine, true in pairs],
-                [100.0 * (mine.heel_clearance_m - true.heel_clearance_m) for mine, true in pairs],
-                [100.0 * (mine.stride_length_m - level_share * true.stride_length_m) for mine, true in pairs],
-            )  # fmt: skip
+            errors = [
+                (mine.toe_clearance_m - true.toe_clearance_m, mine.heel_clearance_m - true.heel_clearance_m,
+                 mine.stride_length_m - level_share * true.stride_length_m) for mine, true in paired(found, truth)
+            ]  # fmt: skip
+            yield incline, way, 100.0 * np.array(errors).reshape(-1, 3)
 
 
 def paired(found: list[StrideResult], truth: Truth) -> Iterator[tuple[StrideResult, TruthStride]]:
@@ -110,59 +95,49 @@ def paired(found: list[StrideResult], truth: Truth) -> Iterator[tuple[StrideResu
                 yield mine, true
 
 
-@dataclass
-class Rises:
-    """Heights by the sensor alone of one data set's strides, live, told that the ground is level (m)."""
+def rises(data: Path) -> dict[str, list[list[StrideResult]]]:
+    """By data set each foot's valid strides, live, told that the ground is level."""
+    found: dict[str, list[list[StrideResult]]] = {}
+    walks = []
+    if (climb := stairs(data)) is not None:
+        own = calibrations_of(climb, incline=math.nan)[1].calibrations
+        walks = [("gaitmap, stairs", track, own[sensor]) for sensor, track in climb.tracks.items()]
+    level = ((foot.data_set, foot.track, calibrated(foot.track)) for foot in feet_of(data, FOOT_SETS))
+    for name, track, calibration in chain(walks, level):
+        if isinstance(calibration, FootCalibration):
+            strides = live_strides(track, calibration, None, Ground())
+            found.setdefault(name, []).append([stride for stride in strides if stride.valid])
+    return found
 
-    data_set: str
-    free_rise_m: list[float]
-    left_out: int = 0  # strides that teach a tuner nothing
 
-    def add(self, strides: list[StrideResult]) -> None:
-        """One foot's strides, in order."""
-        watch, valid = GroundWatch(), [stride for stride in strides if stride.valid]
-        self.free_rise_m += [stride.free_rise_m for stride in valid]
-        self.left_out += sum(bool(watch.unusual(stride)) for stride in valid)
-
-
-def rises(data: Path) -> Iterator[Rises]:
-    climb = stairs(data)
-    if climb is not None:
-        calibrations, found = calibrations_of(climb, incline=math.nan)[1].calibrations, Rises("gaitmap, stairs", [])
-        for sensor, track in climb.tracks.items():
-            found.add(live_strides(track, calibrations[sensor], None, Ground()))
-        yield found
-    by_set: dict[str, Rises] = {}
-    for foot in feet_of(data, [name for name in SETS if name != "shanks"]):
-        if not isinstance(calibration := calibrated(foot.track), FootCalibration):
-            continue
-        own = by_set.setdefault(foot.data_set, Rises(foot.data_set, []))
-        own.add(live_strides(foot.track, calibration, None, Ground()))
-    yield from by_set.values()
+def left_out(strides: list[StrideResult]) -> int:
+    """How many of one foot's strides teach a tuner nothing."""
+    watch = GroundWatch()
+    return sum(bool(watch.unusual(stride)) for stride in strides)
 
 
 def main(arguments: list[str] | None = None) -> int:
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
-    every = [each for walker in WALKERS for each in clearances(walker)]
+    errors: dict[tuple[str, float, str], list[FloatArray]] = {}
+    for walker in WALKERS:
+        for incline, way, own in clearance_errors(walker):
+            errors.setdefault((walker, incline, way), []).append(own)
     rows = []
-    for walker, incline, way in product(WALKERS, INCLINES_PERCENT, WAYS):
-        own = [each for each in every if (each.walker, each.incline_percent, each.way) == (walker, incline, way)]
-        cells = []
-        for name in ("toe_cm", "heel_cm", "length_cm"):
-            values = np.concatenate([getattr(each, name) for each in own])
-            known = np.isfinite(values).any()
-            cells.append(f"{np.nanmean(values):+.2f} ± {np.nanstd(values):.2f}" if known else "none")
-        rows.append([walker, f"{incline:+.0f}", way, str(sum(len(each.toe_cm) for each in own)), *cells])
+    for (walker, incline, way), walks in errors.items():
+        every = np.vstack(walks)
+        cells = [f"{np.nanmean(v):+.2f} ± {np.nanstd(v):.2f}" if np.isfinite(v).any() else "none" for v in every.T]
+        rows.append([walker, f"{incline:+.0f}", way, str(len(every)), *cells])
     clearance = table_of("", ("walker", "incline %", "way", "strides", "toe cm", "heel cm", "length cm"), rows)
     rows = []
-    for rise in rises(options.data):
-        values = np.array(rise.free_rise_m)
+    for name, feet in rises(options.data).items():
+        values = np.array([stride.free_rise_m for strides in feet for stride in strides])
         middle, sd = np.median(values), 1.4826 * np.median(np.abs(values - np.median(values)))
-        rows.append([rise.data_set, str(len(values)), f"{100 * middle:+.1f}", f"{100 * sd:.1f}", str(rise.left_out)])
+        told = f"{100 * middle:+.1f}", f"{100 * sd:.1f}", str(sum(map(left_out, feet)))
+        rows.append([name, str(len(values)), *told])
     table = table_of("", ("data", "strides", "rise, median cm", "SD cm", "left out"), rows)
-    publish(console_of(150), [clearance, table], options)
+    publish([clearance, table], options)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -11,7 +11,6 @@ rise is when the heel is 5 mm higher than before it rose. Bars, of each kind: T4
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field, fields
 from itertools import product
 from math import radians
@@ -21,7 +20,7 @@ from scipy.interpolate import BPoly
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, spread, table_of, verdict
 from benchmarks.lib.walkers import calibrate, causal
 from fes.datasets.common import even_track
 from fes.estimation.foot.calibration import CalibrationError
@@ -225,10 +224,9 @@ def main(arguments: list[str] | None = None) -> int:
         "landing", "pace", "feet", "refused", "strides", "T1 ms", "found %", "T4 ms", "found %",
         "flat foot stimulated, median, 95 % ms", "landing left, median, 95 % ms", "bars",
     )  # fmt: skip
-    console = console_of(150)
-    publish(console, [table_of("", columns, rows)], options)
-    return verdict(console, held)
+    publish([table_of("", columns, rows)], options)
+    return verdict(held)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -22,13 +22,13 @@ import numpy as np
 
 from benchmarks.accuracy.every_walker import Found, against_labels, against_markers
 from benchmarks.accuracy.severe_feet import DRAGGED, RATERS, errors_ms, marks_of, severe_feet
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import NAMES, TRIALS, data_folder
-from benchmarks.lib.swing_judge import pairs, score
+from benchmarks.lib.swing_judge import later_ms, pairs, score
 from benchmarks.lib.walkers import (
     DRIFTING,
+    FOOT_SETS,
     LYING,
-    SETS,
     SHORT_FLAT,
     Foot,
     calibrated,
@@ -103,7 +103,7 @@ def all_feet(data: Path, wanted: Sequence[str]) -> Iterator[Foot]:
     if "severe_feet" in wanted:
         yield from (replace(foot, data_set="severe_feet") for foot in marked)
     own = {(foot.run, foot.track.sensor) for foot in marked}
-    for foot in feet_of(data, [name for name in SETS if name in wanted]):
+    for foot in feet_of(data, [name for name in FOOT_SETS if name in wanted]):
         lies = foot.person.startswith(LYING) or foot.run in DRIFTING
         if not lies and (foot.data_set != "stroke_walks" or (foot.run, foot.track.sensor) not in own):
             yield foot
@@ -143,12 +143,15 @@ def judge(values: list[Values], foot: Foot) -> list[Found]:
 def against_truth(foot: Foot, changes: Sequence[PhaseChange]) -> dict[str, list[float]]:
     """How much later than the simulated walker's own instants T1, T3 and T4 are."""
     strides = [s for s in load_truth(TRIALS / f"{foot.run}.parquet").strides_of(foot.track.sensor) if s.walking]
-    late: dict[str, list[float]] = {}
-    for each, name in zip(TIMED, ("t_pre_swing_s", "t_loading_response_s", "t_stance_s"), strict=True):
-        fired = np.array([1e-9 * change.t_ns for change in changes if change.transition is each])
-        off = [1e3 * min(fired - getattr(stride, name), key=abs) for stride in strides] if len(fired) else []
-        late[each.name] = [float(ms) for ms in off if abs(ms) < LONGEST_MS]
-    return late
+    names = zip(TIMED, ("t_pre_swing_s", "t_loading_response_s", "t_stance_s"), strict=True)
+    return {
+        each.name: later_ms(
+            (1e-9 * change.t_ns for change in changes if change.transition is each),
+            (getattr(stride, name) for stride in strides),
+            LONGEST_MS,
+        )
+        for each, name in names
+    }
 
 
 def chosen(costs: dict[Values, dict[Walker, float]], constants: Sequence[str], out: Walker) -> Values:
@@ -170,7 +173,7 @@ def _values(values: dict[str, float]) -> Values:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = parser_of(__doc__, data_folder())
-    sets = ["bundled", "severe_feet", *(name for name in SETS if name != "shanks")]
+    sets = ["bundled", "severe_feet", *FOOT_SETS]
     parser.add_argument("--only", nargs="+", choices=sets, default=sets, help="these sets alone")
     parser.add_argument("--constants", nargs="+", choices=GUARDS, default=list(GUARDS), help="choose these alone")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
@@ -218,7 +221,7 @@ def main(arguments: list[str] | None = None) -> int:
             + "; cost of all walkers " + ", ".join(f"{v:g}: {np.mean(cost):.1f}" for v, cost in tried)
         )  # fmt: skip
     title = "T1, T3, T4: size of a walker's median error, mean of walkers"
-    publish(console_of(170), [table_of(title, columns, rows)], options, choices)
+    publish([table_of(title, columns, rows)], options, choices)
     return 0
 
 

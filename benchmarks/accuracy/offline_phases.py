@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
-from benchmarks.lib.real_sets import NAMES, PathWalk, data_folder, marker_strides, trials
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.real_sets import NAMES, data_folder, trials
 from benchmarks.lib.swing_judge import pairs
 from benchmarks.lib.walkers import DRIFTING, LYING, calibrated, causal, feet_of, swings_of
 from fes.analysis.pipeline import analyse
@@ -92,10 +92,8 @@ def truth_table(data: Path) -> dict[str, list[str]]:
             strides = [asdict(s) for s in truth.strides_of(foot) if s.walking]
             found[f"{name} {foot}"] = against_truth(result, foot, strides)
     for each in feet_of(data, ["gaitmap_walk"]):
-        assert isinstance(each.walk, PathWalk)
         result = analyse(Recording(each.run, None, {each.track.sensor: each.track}, belt_speed_mps=None))
-        strides = list(marker_strides(each.walk, np.sort(each.ic_s), np.sort(each.fo_s)))
-        found[f"gaitmap {each.track.sensor}"] = against_truth(result, each.track.sensor, strides)
+        found[f"gaitmap {each.track.sensor}"] = against_truth(result, each.track.sensor, each.marked_strides())
     return found
 
 
@@ -129,7 +127,7 @@ def main(arguments: list[str] | None = None) -> int:
             cells[-2] += f" ({other_deg:.0f}°)"
         rows.append([person, *cells])
     tables.append(table_of("later than the label, median ± SD", ("walker", *columns), rows))
-    publish(console_of(190), tables, options)
+    publish(tables, options)
     return 0
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish
+from benchmarks.lib.command_line import no_recordings, parser_of, publish
 from benchmarks.lib.real_sets import MARKERS_HZ, BoolArray, data_folder, gaitmap_markers, gaitmap_walk
 from fes.datasets.broad import OldHdf5
 from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
@@ -144,7 +144,7 @@ def main() -> int:
             errors[foot.name] = foot.score(upward(path.quaternion))
         each = ", ".join(f"{foot} {error:.2f}°" for foot, error in errors.items())
         lines.append(f"shoe, stance known, {name}: {np.mean(list(errors.values())):.2f}° ({each})")
-    publish(console_of(150), [], options, lines)
+    publish([], options, lines)
     return 0
 
 

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from rich.table import Table
 
 from benchmarks.accuracy.shank_phases import evaluate as shanks_of
-from benchmarks.lib.command_line import no_recordings, parser_of
-from benchmarks.lib.figures import Figures, Result, digest
-from benchmarks.lib.real_sets import LAST_S, TRIALS, data_folder
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
+from benchmarks.lib.real_sets import LAST_S, TRIALS, data_folder, runs_of
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
@@ -51,7 +51,7 @@ def analysed(recording: Recording) -> Analysis:
     return analyse(recording, found.calibrations)
 
 
-def negard() -> list[Figures]:
+def negard() -> list[Table]:
     published = {  # mean and SD of both patients
         "stride_length_m": ("stride length, cm", ("3.63", "1.65"), ("1.74", "3.32")),
         "clearance_m": ("clearance, cm", ("0.30", "0.38"), ("0.50", "1.30")),
@@ -72,8 +72,8 @@ def negard() -> list[Figures]:
     head = ["patient", "error", "published mean", "published SD", "our mean", "our SD", "limits", "ICC", "n"]
     title = "Negård et al., Table 2: errors against the ultrasonic reference (theirs: patients; ours: simulated)"
     named = ["", "pre-swing", "swing", "loading", "stance"]
-    first = Figures("Negård et al., Table 1: phase durations, patient 2", named, phases)
-    return [first, Figures(title, head, errors)]
+    first = table_of("Negård et al., Table 1: phase durations, patient 2", named, phases)
+    return [first, table_of(title, head, errors)]
 
 
 def phase_durations(analysis: Analysis, truth: Truth) -> Cells:
@@ -106,7 +106,7 @@ def means_and_spreads(who: str, begins: Sequence[Sequence[float | None]]) -> Cel
     ]
 
 
-def kumar(folder: Path) -> list[Figures]:
+def kumar(folder: Path) -> list[Table]:
     imported = read_file("gaitmap", folder / "gaitmap_walk" / "imu_sample.csv")
     rows = list(imported.references[".events.csv"][1])
     events = tuple(sorted(ReferenceEvent(float(t), str(foot), str(what)) for foot, what, t in rows))
@@ -118,7 +118,7 @@ def kumar(folder: Path) -> list[Figures]:
     ]
     missed, extra = (sum(getattr(count, what) for count in result.counts) for what in ("missed", "extra"))
     title = f"Kumar et al. (no figures printed): IC and FO off-line, gaitmap; {missed} missed, {extra} extra"
-    return [Figures(title, ["quantity, ms", "n", "mean", "SD", "limits"], cells)]
+    return [table_of(title, ["quantity, ms", "n", "mean", "SD", "limits"], cells)]
 
 
 def agreement(d: Differences, factor: float, digits: int) -> list[str]:
@@ -127,16 +127,15 @@ def agreement(d: Differences, factor: float, digits: int) -> list[str]:
     return [f"{factor * d.bias.value:+.{digits}f}", f"{factor * d.sd:.{digits}f}", limits]
 
 
-def runs(folder: Path) -> list[Path]:
+def belt_runs(folder: Path) -> list[Path]:
     """Those on a belt of known speed."""
-    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
-    return [path for path in paths if np.isfinite(float(np.load(path)["belt_speed"]))]
+    return [path for path in runs_of(folder) if np.isfinite(float(np.load(path)["belt_speed"]))]
 
 
-def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
+def wu(folder: Path, feet: dict[str, float]) -> list[Table]:
     values = 100 * np.array([
         [abs(side.zupt - 1.0), abs(side.learnt - 1.0), feet[f"{path.stem} {side.sensor.removesuffix('_shank')}"]]
-        for path in runs(folder) for side in shanks_of(path)
+        for path in belt_runs(folder) for side in shanks_of(path)
     ])  # fmt: skip
     rows = [
         ["published, mean of 10 healthy (columns as printed)", "13.44", "3.58", "2.33"],
@@ -145,13 +144,13 @@ def wu(folder: Path, feet: dict[str, float]) -> list[Figures]:
         ["ours, worst side", *(f"{v:.2f}" for v in values.max(axis=0))],
     ]
     head = ["error of the distance, %", "ankle, ZUPT", "ankle, non-ZUPT", "foot (theirs: ZUPT; ours: as `fes analyse`)"]
-    return [Figures("Wu et al., Table I: level walking (theirs over ground; ours on a belt)", head, rows)]
+    return [table_of("Wu et al., Table I: level walking (theirs over ground; ours on a belt)", head, rows)]
 
 
-def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
+def wang(folder: Path) -> tuple[list[Table], dict[str, float]]:
     errors: dict[str, float] = {}
     parameters: Cells = []
-    for path in runs(folder):
+    for path in belt_runs(folder):
         recording = read_file("stroke_treadmill", path).recording
         analysis, since = analysed(recording), 1e9 * (max(t.duration_s for t in recording.tracks.values()) - LAST_S)
         for foot in ("left_foot", "right_foot"):
@@ -176,30 +175,23 @@ def wang(folder: Path) -> tuple[list[Figures], dict[str, float]]:
     published = [[cell.strip() for cell in line.split(",")] for line in PUBLISHED_WANG.strip().splitlines()]
     title = "Wang et al., Table 2: parameters (H healthy, A afflicted side; ours: the runs FBIC)"
     return [
-        Figures("Wang et al.: absolute error of the distance, %", ["", "mean ± SD"], distance),
-        Figures(title, ["walk", "side", *(name for name, _, _ in WANG.values())], published + parameters),
+        table_of("Wang et al.: absolute error of the distance, %", ["", "mean ± SD"], distance),
+        table_of(title, ["walk", "side", *(name for name, _, _ in WANG.values())], published + parameters),
     ], errors
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--simulated", action="store_true", help="those of the bundled trials")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     folder = data_folder()
-    if given.simulated:
-        command, tables = "python benchmarks/accuracy/papers.py --simulated", negard()
-        data = {"sim_inputs/negard_*": digest(TRIALS.glob("negard_*"))}
-    elif (folder / "gaitmap_walk").is_dir() and runs(folder):
+    if options.simulated:
+        publish(negard(), options)
+    elif (folder / "gaitmap_walk").is_dir() and belt_runs(folder):
         of_wang, errors = wang(folder)
-        command, tables = "python benchmarks/accuracy/papers.py", [*kumar(folder), *wu(folder, errors), *of_wang]
-        data = {"gaitmap_walk": digest((folder / "gaitmap_walk").glob("*.csv"))}
-        data["stroke_treadmill"] = digest(runs(folder))
+        publish([*kumar(folder), *wu(folder, errors), *of_wang], options, folder=folder)
     else:
         return no_recordings(folder)
-    result = Result(command, tables, data)
-    print(result.markdown())
-    if given.json is not None:
-        result.keep(given.json)
     return 0
 
 

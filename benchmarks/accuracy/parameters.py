@@ -20,8 +20,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder, gaitmap_cases, trials
+from benchmarks.lib.swing_judge import later_ms
 from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.motion import motions, pitches, variations
@@ -35,7 +36,7 @@ from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.truth import FootTruth, Truth, TruthStride
 
 BUNDLED = ("both_feet_100hz", "both_feet_200hz", "misaligned")
-NEAR_S = 0.25
+NEAR_MS = 250.0
 BARS = {
     "stride_length_percent": 2.0, "swing_ms": 20.0, "stance_ms": 20.0, "clearance_cm": 0.5, "mlr_deg": 3.0,
 }  # fmt: skip
@@ -142,9 +143,7 @@ def markers(folder: Path) -> list[tuple[str, str, float, float, int]]:
             ("FO", case.fo_s, events.fo_ns / NS_PER_S, rows["t_foot_off_s"]),
         ):
             for by, told in (("off-line events", plain), ("parameters", ours)):
-                told = told[np.isfinite(told)]
-                apart = [float(told[np.argmin(np.abs(told - at))] - at) for at in true]
-                times.setdefault((what, by), []).extend(1e3 * a for a in apart if abs(a) < NEAR_S)
+                times.setdefault((what, by), []).extend(later_ms(told[np.isfinite(told)], true, NEAR_MS))
     return [(what, by, *_spread(values), len(values)) for (what, by), values in times.items()]
 
 
@@ -244,9 +243,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"gaitmap_walk against markers, {what} by {by}: {mean:+.1f} ± {sd:.1f} ms, {n} contacts"
             for what, by, mean, sd, n in markers(data_folder())
         ]
-    console = console_of(170)
-    publish(console, [table_of("", ("quantity", "bar", *heads), rows)], options, notes)
-    return verdict(console, not missed)
+    publish([table_of("", ("quantity", "bar", *heads), rows)], options, notes)
+    return verdict(not missed)
 
 
 if __name__ == "__main__":

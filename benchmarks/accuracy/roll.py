@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, mean_sd, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import mean_sd, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder, gaitmap_walk
 from benchmarks.lib.walkers import outcomes_of
 from benchmarks.loop.closed_loop_walk import calibration_of, walk
@@ -108,11 +108,10 @@ def main(arguments: list[str] | None = None) -> int:
         means = " ".join(f"{np.mean(own[:, 0] - own[:, 1]):+.1f}" for own in found if len(own))
         rows.append([condition, str(len(errors)), mean_sd(errors, 2), mean_sd(true, 1), means])
         held &= "markers" in condition or bool(abs(errors.mean()) <= BIAS_DEG and errors.std(ddof=1) <= SD_DEG)
-    console = console_of(130)
     table = table_of("", ("roll", "strides", "error °", "true °", "means of patients or feet, °"), rows)
     said = "Estimate − truth at initial contact, inversion positive, mean ± SD over strides."
-    publish(console, [table], options, [said])
-    return verdict(console, held)
+    publish([table], options, [said])
+    return verdict(held)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.every_walker import TIMES
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import Foot, calibrated, causal, stroke_walks
 from statemachine.phases import PhaseChange, Transition
@@ -29,6 +29,9 @@ RATERS = ("a", "b")
 DRAGGED = ("S22", "right")
 CLOSE_MS = 60.0
 EDGE_S = 1.0  # of stance beside the first mark and the last
+
+
+Changes = dict[tuple[str, str], list[PhaseChange]]  # of each foot, by run and side
 
 
 @dataclass(frozen=True)
@@ -146,31 +149,26 @@ def severe_feet(data: Path) -> list[Foot]:
     return [foot for foot in feet if (foot.run, foot.side) in marked]
 
 
-def together(results: Sequence[Result], name: str) -> Result:
-    instants = [
-        Agreement(same[0].instant, sum(x.marks for x in same), [ms for x in same for ms in x.errors_ms])
-        for same in zip(*(result.instants for result in results), strict=True)
-    ]
-    swings, ones = sum(r.swings for r in results), sum(r.one_swing for r in results)
-    return Result(name, results[0].rater, swings, ones, instants)
+def against(rater: str, name: str, feet: Sequence[tuple[str, str]], changes: Changes) -> Result:
+    """These feet together against one rater."""
+    marks, instants = marks_of(rater), []
+    for each in TIMES:
+        found = [errors_ms(marks[foot], changes[foot], each) for foot in feet]
+        instants.append(Agreement(each.name, sum(count for count, _ in found), [ms for _, own in found for ms in own]))
+    ones = sum(single(marks[foot], changes[foot]) for foot in feet)
+    return Result(name, rater, sum(len(marks[foot]) for foot in feet), ones, instants)
 
 
 def evaluate(data: Path) -> list[Result]:
     """Each foot and all but the dragged one together, against each rater."""
-    results = []
+    changes: Changes = {}
     for foot in severe_feet(data):
         calibration = calibrated(foot.track)
-        changes = causal(foot.track, calibration)[0] if calibration else []
-        for rater in RATERS:
-            marks = marks_of(rater)[foot.run, foot.side]
-            instants = [Agreement(each.name, *errors_ms(marks, changes, each)) for each in TIMES]
-            counts = len(marks), single(marks, changes)
-            results.append(Result(name_of(foot.run, foot.side), rater, *counts, instants))
-    dragged = name_of(*DRAGGED)
-    for rater in RATERS if results else ():
-        own = [r for r in results if r.rater == rater and r.foot != dragged]
-        results.append(together(own, f"{len(own)} feet together"))
-    return results
+        changes[foot.run, foot.side] = causal(foot.track, calibration)[0] if calibration else []
+    groups = {name_of(*foot): [foot] for foot in changes}
+    if sound := [foot for foot in changes if foot != DRAGGED]:
+        groups[f"{len(sound)} feet together"] = sound
+    return [against(rater, name, feet, changes) for name, feet in groups.items() for rater in RATERS]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -190,7 +188,7 @@ def main(arguments: list[str] | None = None) -> int:
         rows.append(["", "b − a", str(apart[0].marks), "", *(x.text for x in apart)])
     title = f"later than the mark, median [5 %, 95 %], and share within ±{CLOSE_MS:.0f} ms"
     columns = ("foot", "against", "swings", "one swing %", *(f"{each.name} ms" for each in TIMES))
-    publish(console_of(170), [table_of(title, columns, rows)], options)
+    publish([table_of(title, columns, rows)], options)
     return 0
 
 

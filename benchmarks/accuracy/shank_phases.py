@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, verdict
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, verdict
 from benchmarks.lib.real_sets import LAST_S, data_folder, gaitmap_feet, load_run, runs_of
 from benchmarks.lib.swing_judge import IN_ORDER, mid_swings
 from benchmarks.lib.walkers import causal
@@ -139,7 +139,7 @@ def signs_of(track: Track) -> FloatArray | None:
 
 def tell_all(data: Path) -> list[Told]:
     """Left from right on every recording of two feet, with the module's constants and with the other subjects'."""
-    both = [(path.stem[:4], load_run(path)[0]) for path in sorted((data / "stroke_treadmill").glob("*.npz"))]
+    both = [(path.stem[:4], load_run(path)[0]) for path in runs_of(data)]
     walks = (data / "gaitmap_walk" / f"{name}.csv" for name in ("imu_sample", "imu_sample_healthy_stair_up"))
     both += [("gaitmap", gaitmap_feet(path)) for path in walks if path.exists()]
     signs = [(subject, *(signs_of(feet[f"{side}_foot"]) for side in ("left", "right"))) for subject, feet in both]
@@ -202,11 +202,10 @@ def lines_of(results: list[SideResult], told: list[Told]) -> list[str]:
 def main(arguments: list[str] | None = None) -> int:
     options = parser_of(__doc__, data_folder()).parse_args(arguments)
     if not (paths := runs_of(options.data)):
-        return 3
+        return no_recordings(options.data)
     results, told = [result for path in paths for result in evaluate(path)], tell_all(options.data)
-    console = console_of(150)
-    publish(console, [], options, lines_of(results, told))
-    return verdict(console, holds(results, told))
+    publish([], options, lines_of(results, told))
+    return verdict(holds(results, told))
 
 
 if __name__ == "__main__":

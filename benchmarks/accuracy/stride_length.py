@@ -18,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.signal import medfilt
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import LAST_S, PathWalk, all_walks, data_folder, gaitmap_walk, pyshoe_vicon, stroke_feet
 from fes.analysis.stride_fusion import lengths_along, mean_lengths
 from fes.calibration.recording import calibrate_track
@@ -221,7 +221,7 @@ def glitch_m(height: FloatArray) -> float:
     return float(np.abs(height - medfilt(height, 5))[2:-2].max())
 
 
-def clearance_errors(method: str, most_glitch_m: float = float("inf")) -> dict[str, list[float]]:
+def clearance_errors(method: str, most_glitch_m: float = float("inf")) -> list[float]:
     """PyShoe's clearance (m), the marker's arm fitted over all walks in the foot's sagittal plane.
 
     The orientation is the estimate's pitch; strides with a glitch of the reference, over 8 m/s, are left out, and those
@@ -241,17 +241,17 @@ def clearance_errors(method: str, most_glitch_m: float = float("inf")) -> dict[s
             estimates.append(_heights(stride, len(height)))
             references.append(level)
             arms.append(-np.column_stack((np.sin(pitch), np.cos(pitch) - 1.0)))
-    errors = fitted(estimates, references, arms)
-    return {"pyshoe_vicon, clearance": errors} if errors else {}
+    return fitted(estimates, references, arms)
 
 
 def main(arguments: list[str] | None = None) -> int:
     options = parser_of(__doc__).parse_args(arguments)
     found: list[tuple[str, str, FloatArray, str]] = []
     for method in METHODS:
-        errors = length_errors(method) | border_errors(method) | clearance_errors(method)
-        errors |= {f"{name}, steady reference": own for name, own in clearance_errors(method, STEADY_M).items()}
-        found += [(name, method, 100.0 * np.array(values), "cm") for name, values in errors.items()]
+        errors = length_errors(method) | border_errors(method)
+        errors["pyshoe_vicon, clearance"] = clearance_errors(method)
+        errors["pyshoe_vicon, clearance, steady reference"] = clearance_errors(method, STEADY_M)
+        found += [(name, method, 100.0 * np.array(values), "cm") for name, values in errors.items() if values]
         ratios = np.array(belt_ratios(method))
         if len(ratios):
             runs = ratios.reshape(-1, 2)  # left and right
@@ -268,7 +268,7 @@ def main(arguments: list[str] | None = None) -> int:
          f"{np.abs(e).max():.2f}", unit] for name, method, e, unit in sorted(found, key=lambda row: row[0])
     ]  # fmt: skip
     table = table_of("", ("data", "method", "n", "bias", "SD", "RMSE", "worst", "unit"), rows)
-    publish(console_of(120), [table], options, folder=data_folder())
+    publish([table], options, folder=data_folder())
     return 0
 
 

@@ -13,8 +13,9 @@ from itertools import product
 
 import numpy as np
 
+from benchmarks.accuracy.accuracy_rows import LENGTH_GIVEN, Row, row_of
 from benchmarks.accuracy.orientation import rms
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import (
     LAST_S,
     BoolArray,
@@ -40,32 +41,6 @@ LENGTH_BAR_CM = {"pyshoe_vicon": 1.75, "ruler_walks": 1.7, "gaitmap_walk": 1.8}
 
 
 @dataclass(frozen=True)
-class DetectorResult:
-    """One detector, means over walks; ``worst_f1`` is that of the worst walk."""
-
-    detector: Detector
-    threshold: str
-    causal: bool
-    f1: float
-    precision: float
-    recall: float
-    worst_f1: float
-
-
-@dataclass(frozen=True)
-class LengthResult:
-    """One data set, in cm; ``rmse_with_disputed_cm`` is over all strides, disputed ones too."""
-
-    data_set: str
-    strides: int
-    bias_cm: float
-    rmse_cm: float
-    worst_cm: float
-    disputed: int
-    rmse_with_disputed_cm: float
-
-
-@dataclass(frozen=True)
 class LoopResult:
     """How far the end of the loop is from its beginning, horizontally and in height, and how long the way was."""
 
@@ -83,7 +58,8 @@ def scores(truth: BoolArray, said: BoolArray) -> tuple[float, float, float]:
 
 def evaluate_detector(
     detector: Detector, walks: list[BorderedWalk], *, use_standing: bool, causal: bool
-) -> DetectorResult:
+) -> tuple[float, float, float, float]:
+    """F1, precision and recall, means over the walks; and the worst walk's F1."""
     rows = []
     for walk in walks:
         track, known = walk.track, np.isfinite(walk.speed_mps)
@@ -92,8 +68,7 @@ def evaluate_detector(
         )
         rows.append(scores(walk.speed_mps[known] < LIMIT_MPS, said[known]))
     f1, precision, recall = np.mean(rows, axis=0).tolist()
-    source = "standing second" if use_standing else "quiet stretches"
-    return DetectorResult(detector, source, causal, f1, precision, recall, min(row[0] for row in rows))
+    return f1, precision, recall, min(row[0] for row in rows)
 
 
 def path_of(track: Track) -> tuple[FootSamples, Trajectory]:
@@ -106,12 +81,12 @@ def lengths_m(path: Trajectory, begin_ns: IntArray, end_ns: IntArray) -> FloatAr
     return np.asarray(np.hypot(*(path.positions_at(end_ns) - path.positions_at(begin_ns))[:, :2].T))
 
 
-def evaluate_lengths(walks: list[BorderedWalk]) -> LengthResult:
+def evaluate_lengths(walks: list[BorderedWalk]) -> tuple[Row, int, float]:
+    """The row of the errors (cm) but for disputed strides; how many these are, and the RMSE with them."""
     errors = [100.0 * (lengths_m(path_of(w.track)[1], w.begin_ns, w.end_ns) - w.length_m) for w in walks]
     every, doubt = np.concatenate(errors), np.concatenate([walk.disputed for walk in walks])
-    sure, name = every[~doubt], walks[0].walk.data_set
-    worst, disputed = float(np.abs(sure).max()), int(doubt.sum())
-    return LengthResult(name, len(sure), float(sure.mean()), rms(sure), worst, disputed, rms(every))
+    row = row_of(walks[0].walk.data_set, LENGTH_GIVEN, "cm", "", "", every[~doubt])
+    return row, int(doubt.sum()), rms(every)
 
 
 def belt_ratios(feet: list[tuple[str, Track, float]]) -> FloatArray:
@@ -138,47 +113,52 @@ def main(words: list[str] | None = None) -> int:
     options = parser_of(__doc__, data_folder()).parse_args(words)
     if not (walks := pyshoe(options.data)):
         return no_recordings(options.data)
-    detectors = [
-        evaluate_detector(detector, walks, use_standing=standing, causal=causal)
-        for detector, standing, causal in product(Detector, (True, False), (False, True))
-    ]
+    detectors, held = [], True
+    for detector, standing, causal in product(Detector, (True, False), (False, True)):
+        found = evaluate_detector(detector, walks, use_standing=standing, causal=causal)
+        told = "standing second" if standing else "quiet stretches", "causal" if causal else "centred"
+        detectors.append([detector.name, *told, *(f"{value:.3f}" for value in found)])
+        held &= found[0] >= LEAST_F1[detector] or causal or not standing
     lengths = [evaluate_lengths(group) for group in (walks, ruler(options.data), gaitmap(options.data)) if group]
-    told = []
+    told_lengths = [
+        [
+            row.data_set,
+            str(row.n),
+            f"{row.bias:+.2f}",
+            f"{row.rmse:.2f}",
+            f"{row.worst:.1f}",
+            str(disputed),
+            f"{rmse:.2f}",
+        ]
+        for row, disputed, rmse in lengths
+    ]
+    notes = []
     if feet := list(stroke_feet(options.data)):
         r = belt_ratios(feet)
-        told.append(
+        notes.append(
             f"stroke_treadmill: speed over belt, {len(r)} feet: mean {r.mean():.4f}, SD {r.std(ddof=1):.4f}, "
             f"from {r.min():.3f} to {r.max():.3f}"
         )
     if loop := xio(options.data):
-        found = evaluate_loop(loop)
-        told.append(
-            f"xio_walk, a loop of {found.way_m:.1f} m: ends {found.gap_m:.2f} m from its beginning, "
-            f"{found.height_m:+.2f} m in height"
+        one = evaluate_loop(loop)
+        notes.append(
+            f"xio_walk, a loop of {one.way_m:.1f} m: ends {one.gap_m:.2f} m from its beginning, "
+            f"{one.height_m:+.2f} m in height"
         )
     tables = [
         table_of(
             f"Rest against Vicon below {LIMIT_MPS:g} m/s: pyshoe_vicon, {len(walks)} walks",
             ("detector", "threshold from", "window", "F1", "precision", "recall", "worst F1"),
-            [
-                [r.detector.name, r.threshold, "causal" if r.causal else "centred",
-                 *(f"{value:.3f}" for value in (r.f1, r.precision, r.recall, r.worst_f1))] for r in detectors
-            ],
+            detectors,
         ),
         table_of(
             "ZUPT-aided smoother: stride length (cm)",
             ("data set", "strides", "bias", "RMSE", "worst", "disputed", "RMSE with disputed"),
-            [
-                [r.data_set, str(r.strides), f"{r.bias_cm:+.2f}", f"{r.rmse_cm:.2f}", f"{r.worst_cm:.1f}",
-                 str(r.disputed), f"{r.rmse_with_disputed_cm:.2f}"] for r in lengths
-            ],
+            told_lengths,
         ),
     ]  # fmt: skip
-    console = console_of(110)
-    publish(console, tables, options, told)
-    usual = [r for r in detectors if r.threshold == "standing second" and not r.causal]
-    held = all(r.f1 >= LEAST_F1[r.detector] for r in usual)
-    return verdict(console, held and all(r.rmse_cm <= LENGTH_BAR_CM[r.data_set] for r in lengths))
+    publish(tables, options, notes)
+    return verdict(held and all(row.rmse <= LENGTH_BAR_CM[row.data_set] for row, _, _ in lengths))
 
 
 if __name__ == "__main__":

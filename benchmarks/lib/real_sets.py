@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -48,11 +47,8 @@ def trials(names: Iterable[str] = (*NAMES, "not_walking")) -> Iterator[tuple[str
 
 
 def runs_of(folder: Path) -> list[Path]:
-    """All runs below a folder; where there are none, says what to do about that."""
-    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
-    if not paths:
-        print(f"No recordings in {folder / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
-    return paths
+    """All runs below a folder, in order."""
+    return sorted((folder / "stroke_treadmill").glob("*.npz"))
 
 
 def load_run(path: Path, part: str = "foot") -> tuple[dict[str, Track], float]:
@@ -69,7 +65,7 @@ def strike_deg(path: Path) -> float:
 
 def stroke_feet(folder: Path) -> Iterator[tuple[str, Track, float]]:
     """Runs on a belt of known speed: name, track, belt speed (m/s)."""
-    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+    for path in runs_of(folder):
         tracks, belt_mps = load_run(path)
         if np.isfinite(belt_mps):
             for track in tracks.values():
@@ -92,8 +88,12 @@ class Walk:
         raise TypeError(f"{type(self).__name__} has no reference for single strides")
 
     def true_clearance_m(self, stride: StrideResult) -> float:
-        """The sensor's clearance by the reference; NaN where there is none."""
+        """The greatest height of the tracked point above its start; NaN where that is not at the sensor."""
         return float("nan")
+
+    def true_lift_m(self, stride: StrideResult) -> float:
+        """The sensor's clearance by the reference; NaN where there is none."""
+        return self.true_clearance_m(stride)
 
     def comparable(self, stride: StrideResult) -> bool:
         """Whether sensor and reference travel the same way: not in a stride that swivels the foot on the ground."""
@@ -138,14 +138,13 @@ class PathWalk(Walk):
         return length if length > 0.3 and jump < 8.0 else float("nan")
 
     def true_clearance_m(self, stride: StrideResult) -> float:
-        """Greatest height of the tracked point above its start."""
         rows = self._rows(stride)
         return float(rows[:, 2].max() - rows[0, 2]) if self.at_sensor and len(rows) else float("nan")
 
     def true_lift_m(self, stride: StrideResult) -> float:
-        """The sensor's clearance, through the lever arm; NaN where that is not known."""
+        """Through the lever arm, where that is known."""
         if self.lever_m is None:
-            return float("nan")
+            return self.true_clearance_m(stride)
         first, last = self.span(stride)
         height = self.lever_m[first : last + 1, 2]
         return float(height.max() - height[0]) if len(height) else float("nan")
@@ -280,9 +279,9 @@ def marker_strides(walk: PathWalk, ic_s: FloatArray, fo_s: FloatArray) -> Iterat
         yield stride
 
 
-def all_walks(folder: Path | None = None) -> list[Walk]:
+def all_walks() -> list[Walk]:
     """Every walk with a reference for single strides."""
-    folder = folder or data_folder()
+    folder = data_folder()
     return [*pyshoe_vicon(folder), *ruler_walks(folder), *gaitmap_walk(folder)]
 
 

@@ -7,7 +7,7 @@ runs (40 feet), with the footswitches' swings of the healthy, and between left a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -93,6 +93,13 @@ def score(swings: Swings, changes: Sequence[PhaseChange], strides: Sequence[Stri
 def answered(strides: Sequence[StrideResult], at_ns: int) -> bool:
     """Whether a stride with a length lies around a swing."""
     return any(s.t_start_ns <= at_ns <= s.t_end_ns and s.valid and np.isfinite(s.stride_length_m) for s in strides)
+
+
+def later_ms(found_s: Iterable[float], true_s: Iterable[float], most_ms: float) -> list[float]:
+    """How much later than each true instant the nearest of those found is; one farther away belongs to another."""
+    times = np.array(list(found_s))
+    off = [1e3 * float(min(times - true, key=abs, default=np.inf)) for true in true_s]
+    return [ms for ms in off if abs(ms) < most_ms]
 
 
 # --- footswitches: the labels are the truth ---------------------------------------------------------------------------

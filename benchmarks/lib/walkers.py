@@ -11,7 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.lib.real_sets import Walk, gaitmap_cases, gaitmap_walk, load_run, pyshoe_vicon, ruler_walks, strike_deg
+from benchmarks.lib.real_sets import (
+    PathWalk,
+    Walk,
+    gaitmap_events,
+    gaitmap_walk,
+    load_run,
+    marker_strides,
+    pyshoe_vicon,
+    ruler_walks,
+    runs_of,
+    strike_deg,
+)
 from benchmarks.lib.swing_judge import Labelled, labelled
 from fes.analysis.swings import Swings, find_swings
 from fes.calibration.recording import calibrate_shank_track, calibrate_track
@@ -31,7 +42,9 @@ from statemachine.phases import PhaseChange
 SETS = (
     "stroke_treadmill", "shanks", "pyshoe_vicon", "ruler_walks", "gaitmap_walk", "footswitch_treadmill", "stroke_walks"
 )  # fmt: skip
-LYING, DRIFTING = ("P06",), ("P07_1", "H04_2")  # sensor, labels
+FOOT_SETS = tuple(name for name in SETS if name != "shanks")
+LYING = ("P06",)  # its accelerometer is off gravity by more than 3 m/s² in 29 % of its quiet samples
+DRIFTING = ("P07_1", "H04_2")  # labels
 SHORT_FLAT = ("H03",)  # T4 cannot be judged
 
 
@@ -56,9 +69,15 @@ class Foot:
     def side(self) -> str:
         return self.track.sensor.split("_")[0]
 
+    def marked_strides(self) -> list[dict[str, float]]:
+        """Instants (s) of its strides by optical markers, see :func:`real_sets.marker_strides`; none without any."""
+        if self.ic_s is None or not isinstance(self.walk, PathWalk):
+            return []
+        return list(marker_strides(self.walk, np.sort(self.ic_s), np.sort(self.fo_s)))
+
 
 def stroke_treadmill(folder: Path, part: str) -> Iterator[Foot]:
-    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+    for path in runs_of(folder):
         tracks, belt_mps = load_run(path)
         common = {"belt_mps": belt_mps, "strike_deg": strike_deg(path)}
         for track in tracks.values():
@@ -66,7 +85,7 @@ def stroke_treadmill(folder: Path, part: str) -> Iterator[Foot]:
 
 
 def shanks(folder: Path, part: str) -> Iterator[Foot]:
-    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+    for path in runs_of(folder):
         (feet, belt_mps), (found, _) = load_run(path), load_run(path, "shank")
         for foot, shank in zip(feet.values(), found.values(), strict=True):
             yield Foot("shanks", part, path.stem[:4], path.stem, shank, foot, belt_mps=belt_mps)
@@ -78,8 +97,9 @@ def measured_walks(walks: Iterable[Walk], part: str, person: Callable[[str], str
 
 
 def gaitmap(folder: Path, part: str) -> Iterator[Foot]:
-    for walk, case in zip(gaitmap_walk(folder), gaitmap_cases(folder), strict=True):
-        yield Foot("gaitmap_walk", part, "adult", walk.name, walk.track, walk=walk, ic_s=case.ic_s, fo_s=case.fo_s)
+    for walk in gaitmap_walk(folder):
+        ic_s, fo_s = gaitmap_events(folder, walk.name, "ic", "tc").T
+        yield Foot("gaitmap_walk", part, "adult", walk.name, walk.track, walk=walk, ic_s=ic_s, fo_s=fo_s)
 
 
 def footswitch_treadmill(folder: Path, part: str) -> Iterator[Foot]:

@@ -11,7 +11,7 @@ cable, less its last 150 ms, in which a burst may begin early). Last the radio g
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.lib.channels import channel
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, spread, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import calibrated
 from benchmarks.loop.predicted_onset import Walked, walks
@@ -37,6 +37,7 @@ from fes.control.runner import TICK_NS, Runner
 from fes.estimation.sensor_choice import Calibration
 from fes.gate import gate_of
 from fes.live.sensors import SensorStream
+from fes.session_log import Note
 from fes.signals import (
     NS_PER_S,
     Event,
@@ -153,12 +154,13 @@ def session_of(sensor: str, device: str, onset: str = "detected", packed: bool =
 
 @dataclass
 class Walk:
-    """What a session made of a walk; a stimulator and a log for :class:`Runner`."""
+    """What a session made of a walk; a stimulator and a log for :class:`Runner`. Of a fault its time and words."""
 
     commands: list[StimCommand] = field(default_factory=list)
     phases: list[PhaseChange] = field(default_factory=list)
-    noted: list[str] = field(default_factory=list)
-    latches: list[str] = field(default_factory=list)
+    strides: list[StrideResult] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    latches: list[tuple[int, str]] = field(default_factory=list)
 
     def send(self, command: StimCommand) -> WireFrame:
         self.commands.append(command)
@@ -167,25 +169,19 @@ class Walk:
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         return []
 
-    def event(self, event: Event) -> None:
-        """Nobody reads it."""
-
-    def command(self, command: StimCommand, frame: WireFrame) -> None:
-        """Kept when it was sent."""
-
     def phase(self, change: PhaseChange) -> None:
-        """A phase, at the sensor's time."""
         self.phases.append(change)
 
     def stride(self, result: StrideResult) -> None:
-        """Nobody reads it."""
+        self.strides.append(result)
 
-    def note(self, note: Any) -> None:
-        """What a person would be told."""
-        self.noted.append(note.text)
+    def note(self, note: Note) -> None:
+        self.notes.append(note)
 
-    def latency(self, t_ns: int, latency_ns: int) -> None:
-        """None."""
+    def unread(self, *_: Any, **__: Any) -> None:
+        """A command is kept when it is sent."""
+
+    event = command = latency = unread
 
     def spans(self) -> list[tuple[int, int]]:
         """From the first command of each burst to its off, or to where its last command ran out."""
@@ -202,19 +198,22 @@ class Walk:
         return found + ([(begun, last_ns)] if begun is not None else [])
 
 
-def walked(session: Session, calibration: Calibration, events: Iterator[Event]) -> Walk:
-    """A whole walk; armed as soon as the gate lets a person, and again after every fault."""
+def walked(session: Session, calibration: Calibration, events: Iterable[Event], *, again: bool = True) -> Walk:
+    """A whole walk; armed as soon as the gate lets a person, ``again`` after every fault, or over with the first."""
     (channel,) = session.channels
-    walk, calibrations = Walk(), {str(channel.foot): calibration}
-    gate = gate_of(session, {str(channel.foot): calibration.up})
-    runner = Runner(Controller(session, calibrations), gate, walk, walk, lambda: 0)
+    walk, foot = Walk(), str(channel.foot)
+    gate = gate_of(session, {foot: calibration.up})
+    runner = Runner(Controller(session, {foot: calibration}), gate, walk, walk, lambda: 0)
     for event in events:
         runner.handle(event)
-        if not gate.armed:
-            if gate.latched and (not walk.latches or walk.latches[-1] is not gate.latched):
-                walk.latches.append(gate.latched)
-            runner.handle(OperatorAct(event.t_ns, OperatorAction.ARM))
-            runner.handle(OperatorAct(event.t_ns, OperatorAction.SET_INTENSITY, 1.0))
+        if gate.armed:
+            continue
+        if gate.latched and (not walk.latches or walk.latches[-1][1] is not gate.latched):
+            walk.latches.append((event.t_ns, gate.latched))
+            if not again:
+                break
+        runner.handle(OperatorAct(event.t_ns, OperatorAction.ARM))
+        runner.handle(OperatorAct(event.t_ns, OperatorAction.SET_INTENSITY, 1.0))
     return walk
 
 
@@ -279,7 +278,7 @@ class Figures:
             self.cut += contact is not None and by_radio[best][1] < contact
         self.extra += len(by_radio) - len(matched)
         self.stance_ms += [overlap_ns(span, stood, EARLY_NS) / MS for span in by_radio]
-        self.behind += sum("refused" in text and "data" in text for text in radio.noted)
+        self.behind += sum("refused" in note.text and "data" in note.text for note in radio.notes)
         self.off += len(radio.latches)
         self.over += sum(map(over, radio.commands))
 
@@ -402,10 +401,9 @@ def main(arguments: list[str] | None = None) -> int:
     said = f"Bars: at {BAR} {SOONEST:g} % of detected onsets within 40 ms: {bar.within:.1f} %; current for "
     said += f"{most_ms:.0f} ms after the radio goes silent at most: {on_ms.max():.0f} ms; "
     said += f"nothing over a limit: {sum(f.over for f in figures.values())}."
-    console = console_of(200)
-    publish(console, [table, gone], options, [said])
+    publish([table, gone], options, [said])
     held = bar.within >= SOONEST and on_ms.max() <= most_ms and not any(f.over for f in figures.values())
-    return verdict(console, held)
+    return verdict(held)
 
 
 if __name__ == "__main__":

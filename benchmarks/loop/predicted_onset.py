@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lib.channels import channel
-from benchmarks.lib.command_line import console_of, parser_of, publish, spread, table_of, verdict
-from benchmarks.lib.real_sets import PathWalk, data_folder, marker_strides, trials
+from benchmarks.lib.command_line import parser_of, publish, spread, table_of, verdict
+from benchmarks.lib.real_sets import data_folder, trials
+from benchmarks.lib.swing_judge import later_ms
 from benchmarks.lib.walkers import DRIFTING, LYING, calibrated, feet_of
 from fes.analysis.swings import find_swings
 from fes.config import Session
@@ -36,7 +37,7 @@ from statemachine.phases import PhaseChange, Transition
 SETS = ("gaitmap_walk", "footswitch_treadmill", "stroke_treadmill", "stroke_walks", "ruler_walks")
 LEADS_MS = (20, 30, 40, 50, 60, 80)
 MOST_FALSE = 0.01
-NEAR_NS = 400_000_000
+NEAR_MS = 400.0
 MS = 1e-6
 
 
@@ -85,10 +86,7 @@ def walks(data: Path, wanted: Iterable[str]) -> Iterator[Walked]:
             rises = [round(1e9 * s.t_pre_swing_s) for s in truth.strides_of(foot) if s.walking]
             yield Walked("bundled trials", name, track, rises)
     for each in feet_of(data, wanted):
-        rises = []
-        if isinstance(each.walk, PathWalk) and each.ic_s is not None:
-            strides = marker_strides(each.walk, np.sort(each.ic_s), np.sort(each.fo_s))
-            rises = [round(1e9 * s["t_pre_swing_s"]) for s in strides if "t_pre_swing_s" in s]
+        rises = [round(1e9 * s["t_pre_swing_s"]) for s in each.marked_strides() if "t_pre_swing_s" in s]
         if each.labels is not None and each.person not in LYING and each.run not in DRIFTING:
             swings = find_swings(each.track.t_ns, each.track.acc_mps2, each.track.gyr_radps)
             labels = (each.labels.times(*stride).get(Transition.T1) for stride in pairwise(swings.sure.tolist()))
@@ -183,9 +181,7 @@ def judge(walk: Walked, calibration: Calibration, figures: Figures) -> None:
             there = next(((t, ma) for t, ma in predicted.contacts if t > begin), None)
             figures.cut += there is not None and there[1] < at_contact.get(there[0], 0.0) - 0.5
     for late, spans in ((figures.detected_late, detected.spans), (figures.predicted_late, predicted.spans)):
-        starts = np.array([span[0] for span in spans])
-        off = [float(min(starts - rise, key=abs)) for rise in walk.rises_ns] if len(starts) else []
-        late += [MS * ns for ns in off if abs(ns) < NEAR_NS]
+        late += later_ms((1e-9 * begin for begin, _ in spans), (1e-9 * rise for rise in walk.rises_ns), NEAR_MS)
 
 
 # --- the lead, with the person left out -------------------------------------------------------------------------------
@@ -259,7 +255,6 @@ def main(arguments: list[str] | None = None) -> int:
             own[lead] = own[lead][0] + early, own[lead][1] + false
         print(walk.group, walk.person, walk.track.sensor, own, file=sys.stderr, flush=True)
     table = table_of("ms, median [5–95 %]", TITLES, rows(groups))
-    console = console_of(220)
     leads = {key: chosen(counts, key[1]) for key in counts}
     total = [sum(by_lead[leads[key]][which] for key, by_lead in counts.items()) for which in (0, 1)]
     every = [
@@ -271,9 +266,9 @@ def main(arguments: list[str] | None = None) -> int:
         f"False starts of all sets by lead: {'; '.join(every)}. Chosen for each person by all others: {picks}; with "
         f"that {total[1]} of {total[0]} starts were false."
     )
-    publish(console, [table], options, [by_lead])
+    publish([table], options, [by_lead])
     held = all(f.false <= MOST_FALSE * max(len(f.before), 100) for f in groups.values())
-    return verdict(console, held)
+    return verdict(held)
 
 
 if __name__ == "__main__":

@@ -21,9 +21,8 @@ The second patient (:mod:`second_patient`) shares nothing with the first.
 
 from __future__ import annotations
 
-import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
@@ -34,7 +33,9 @@ from statistics import fmean, median
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
+from benchmarks.lib.command_line import parser_of, publish, table_of
 from benchmarks.lib.figures import digest
 from benchmarks.loop.closed_loop_walk import Walk, calibration_of, walk
 from benchmarks.loop.plain_rule import PlainRule
@@ -61,13 +62,12 @@ STRIDES, SECONDS = 45, 300.0
 START_MA = 15.0  # at 300 µs: what hardly any foot answers to
 RATE_US = 30.0  # the most that one stride may change
 SETTLED, WITHIN, REACHED = 10, 6, 4  # strides; in the band: 4 of 5 in a row
-FAULT_STRIDE, SPARED, NAMED_WITHIN = 18, 5, 30
+FAULT_STRIDE, SPARED = 18, 5
 ROLL_DEG, ROLL_FROM, EVERTORS = 5.0, 3, 1
 LEAST_WIDTH_US = 20.0  # of common stimulators
 ARMS = ("fixed", "short", "plain", "tuner", "two")
 OWN_RULE = ("rule.py", "settings.py", "watch.py")
 PAIRS = (("tuner", "short"), ("tuner", "plain"), ("plain", "short"), ("short", "fixed"))
-BEGIN, END = "<!-- tuning results: benchmarks/loop/tuning.py -->", "<!-- end of tuning results -->"
 
 
 # --- what happens to whom -------------------------------------------------------------------------------------
@@ -317,10 +317,8 @@ class Kept:
 
     def left(self, second: bool, seed: int, trials: Sequence[str], arms: Sequence[str]) -> tuple[list[str], list[str]]:
         """The trials and the arms in which something of these is not there yet."""
-        lacking = [(name, arm) for name in trials for arm in arms if not self.has(second, seed, name, [arm])]
-        return [name for name in trials if any(name == one for one, _ in lacking)], [
-            arm for arm in arms if any(arm == other for _, other in lacking)
-        ]
+        names = [name for name in trials if not self.has(second, seed, name, arms)]
+        return names, [arm for arm in arms if not all(self.has(second, seed, name, [arm]) for name in trials)]
 
     def add(self, second: bool, seed: int, walked: dict[str, dict[str, Result]]) -> None:
         """What a person's walks brought, by trial and arm."""
@@ -337,18 +335,17 @@ class Kept:
 # --- tables ---------------------------------------------------------------------------------------------------
 
 HEAD = (
-    "| trial | arm | in the band after stride 10 | within 6 strides | µC a step, median | stumbles / drags from "
-    "stride 6 | push-off lost | heel first | heels put back (T5) | stopped itself | latched | refused | landed within "
-    "5° |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|"
-)
+    "trial", "arm", "in the band after stride 10", "within 6 strides", "µC a step, median",
+    "stumbles / drags from stride 6", "push-off lost", "heel first", "heels put back (T5)", "stopped itself", "latched",
+    "refused", "landed within 5°",
+)  # fmt: skip
 
 
-def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
+def rows(name: str, every: Sequence[dict[str, Result]]) -> Iterator[list[str]]:
     """A trial's lines, one an arm."""
-    lines = []
     for arm in every[0]:
         mine = [one[arm] for one in every]
-        cells = [
+        yield [
             TRIALS[name].text,
             arm,
             f"{fmean(one.settled for one in mine):.1%}",
@@ -361,8 +358,6 @@ def rows(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
             *(str(sum(bool(getattr(one, what)) for one in mine)) for what in ("stopped", "latched", "refused")),
             f"{fmean(one.rolled for one in mine):.1%}",
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return lines
 
 
 def differences(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
@@ -375,7 +370,7 @@ def differences(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
             if not each[one].refused and each[other].charge_uc > 0.0
         ]  # fmt: skip
         lines.append(
-            f"- {TRIALS[name].text}, {one} − {other}: {interval(points, fmean)} points in the band after stride 10; "
+            f"{TRIALS[name].text}, {one} − {other}: {interval(points, fmean)} points in the band after stride 10; "
             f"charge {interval(charge, median)} % (median)"
         )
     return lines
@@ -403,12 +398,12 @@ def fault_lines(name: str, every: Sequence[dict[str, Result]]) -> list[str]:
             lowered = sum(one.lowered for one in mine)
             said = f"named in {right} of {len(mine)}, as something else in {wrong}; lowered within {SPARED} strides in "
             said += f"{lowered}; before it {sum(one.false_names for one in mine)} false names"
-        lines.append(f"- {trial.text}, {arm}: {said}")
+        lines.append(f"{trial.text}, {arm}: {said}")
     return lines
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--patients", type=int, default=20)
     parser.add_argument("--first", type=int, default=130000, help="seed of the first")
     parser.add_argument("--second", type=int, default=0, help="how many of the second patient model")
@@ -418,11 +413,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, help="at once")
     parser.add_argument("--keep", type=Path, help="file of results, a line a person and trial")
     parser.add_argument("--kept", action="store_true", help="nobody walks: the tables of who stands in the file")
-    parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
-    parser.add_argument("--place", type=int, default=0, help="between which of its markers, from 0 on")
     asked = parser.parse_args()
-    if asked.write is not None and asked.write.read_text(encoding="utf-8").count(BEGIN) <= asked.place:
-        parser.error(f"{asked.write} has no such place for tables")
     names = list(TRIALS) if "all" in asked.trials else asked.trials
     groups = [
         ("The first patient model", range(asked.first, asked.first + asked.patients), names, asked.arms, False),
@@ -431,8 +422,7 @@ def main() -> None:
             [name for name in names if name in ("day", "slip", "drift")], [a for a in asked.arms if a != "two"], True,
         ),
     ]  # fmt: skip
-    said: list[str] = []
-    kept = Kept(asked.keep)
+    kept, tables, notes = Kept(asked.keep), list[Table](), list[str]()
     with ProcessPoolExecutor(asked.processes) as pool:
         for title, seeds, trials, arms, second in groups:
             walks = {
@@ -447,19 +437,16 @@ def main() -> None:
             walked = {name: [seed for seed in seeds if kept.has(second, seed, name, arms)] for name in trials}
             if not any(walked.values()):
                 continue
-            said, notes = [*said, f"**{title}**", "", HEAD], []
+            lines = list[list[str]]()
             for name, who in walked.items():
                 every = [{arm: kept.results[second, seed, name, arm] for arm in arms} for seed in who]
                 if every:
-                    said += rows(name, every)
-                    notes += [f"- {TRIALS[name].text}: {len(who)} people, seeds {who[0]} to {who[-1]}"]
-                    notes += differences(name, every) + fault_lines(name, every)
-            said += ["", *notes, ""]
-    print("\n".join(said))
-    if asked.write is not None:
-        parts = asked.write.read_text(encoding="utf-8").split(BEGIN)
-        parts[asked.place + 1] = "\n".join(("", *said, END)) + parts[asked.place + 1].split(END)[1]
-        asked.write.write_text(BEGIN.join(parts), encoding="utf-8")
+                    lines += rows(name, every)
+                    said = [f"{TRIALS[name].text}: {len(who)} people, seeds {who[0]} to {who[-1]}"]
+                    said += differences(name, every) + fault_lines(name, every)
+                    notes += [f"second model, {each}" if second else each for each in said]
+            tables.append(table_of(title, HEAD, lines))
+    publish(tables, asked, notes)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from statistics import median
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
+from benchmarks.lib.command_line import parser_of, publish, table_of
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride, harm_of, settings_for
 
@@ -60,7 +60,7 @@ def rows() -> Iterator[list[str]]:
 
 
 def main() -> None:
-    publish(console_of(200), [table_of("", HEAD, rows())], parser_of(__doc__).parse_args())
+    publish([table_of("", HEAD, rows())], parser_of(__doc__).parse_args())
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from random import Random
 import numpy as np
 from scipy.signal import welch
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import data_folder, gaitmap_walk, load_run
 from benchmarks.lib.swing_judge import mid_swings
 from benchmarks.lib.walkers import causal
@@ -123,7 +123,7 @@ def main() -> int:
             ratios.append(f"{np.nanmedian(virtual) / np.nanmedian(real):.2f}")
         rows.append([name, *(f"{middle} ({low} … {high})" for middle, low, high in cells), *ratios])
     table = table_of("", (*heads, "virtual / real, stroke", "… with the unseen"), rows)
-    publish(console_of(190), [table], options)
+    publish([table], options)
     return 0
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from math import cos, sin, tau
 
 from benchmarks.lib.channels import LIMITS, channel
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of
+from benchmarks.lib.command_line import parser_of, publish, table_of
 from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.stimulator import p24_port as codec
@@ -166,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             cells.append(f"{worst}, {still or len(times_ms)} of {len(times_ms)}")
         rows.append([name, *cells])
     table = table_of("", ("last pulse after", "the sensor dies", "the program dies"), rows)
-    publish(console_of(100), [table], options)
+    publish([table], options)
 
 
 if __name__ == "__main__":

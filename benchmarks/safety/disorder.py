@@ -14,7 +14,6 @@ the calibration of this foot's own walk, which comes first for 20 s.
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,16 +22,16 @@ from itertools import pairwise
 import numpy as np
 from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.swing_judge import in_order
-from benchmarks.lib.walkers import SETS, Foot, calibrate, calibrated, feet_of, swings_of
+from benchmarks.lib.walkers import SETS, Foot, calibrated, feet_of, swings_of
 from benchmarks.loop.closed_loop_walk import walk
 from benchmarks.loop.tuning_cohort import channel_of
 from fes.analysis.swings import Swings, find_swings
 from fes.config import ImuDevice, Session, Stimulation
 from fes.control.controller import Controller
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration, tracker_of
 from fes.recording import Track
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, IntArray, StrideResult
@@ -191,16 +190,10 @@ def shuffled(
 
 def real(feet: Iterable[Foot]) -> Iterator[Result]:
     every = list(feet)
-    known: dict[tuple[str, str, str], Calibration] = {}
-    for foot in every:
-        try:
-            known[foot.part, foot.run, foot.track.sensor] = calibrate(foot.track)
-        except CalibrationError as error:
-            print(f"{foot.run} {foot.track.sensor} refused: {error}", flush=True)
+    known = {(foot.part, foot.run, foot.track.sensor): calibrated(foot.track) for foot in every}
     for number, foot in enumerate(every):
         sensor = foot.track.sensor
-        calibration = known.get((foot.part, foot.run, sensor))
-        if calibration is None:
+        if (calibration := known[foot.part, foot.run, sensor]) is None:
             continue
         swings, who, group = swings_of(foot), f"{foot.run} {sensor}", f"{foot.data_set}, {foot.part}"
         yield watched(foot.track, calibration).sound(group, who, swings)
@@ -238,10 +231,7 @@ def virtual(patients: int) -> Iterator[Result]:
         tracks = recorded_walk(settings, WALK_S, 2.0, "walk", "").tracks
         for sensor, track in tracks.items():
             who, group = f"{number} {sensor} {settings.pattern}", "virtual"
-            try:
-                calibration = calibrate(calibration_tracks[sensor])
-            except CalibrationError as error:
-                print(f"virtual {who} refused: {error}", flush=True)
+            if (calibration := calibrated(calibration_tracks[sensor])) is None:
                 continue
             swings = find_swings(track.t_ns, track.acc_mps2, track.gyr_radps)
             yield watched(track, calibration).sound(group, who, swings)
@@ -263,7 +253,7 @@ def at_another_speed(settings: PatientSettings, number: int) -> Iterator[Result]
     patient.set_speed(min(settings.speed_mps * (FASTER if number % 2 else SLOWER), FASTEST_MPS))
     samples += patient.advance(round((2.0 + 2.0 * WALK_S) * NS_PER_S))
     for sensor, track in recording_of(patient, samples, "", "").tracks.items():
-        if (calibration := calibrated(track)) is None:  # told of above
+        if (calibration := calibrated(track)) is None:
             continue
         swings = find_swings(track.t_ns, track.acc_mps2, track.gyr_radps)
         yield replace(watched(track, calibration).sound("virtual", f"{number} {sensor}", swings), case=CHANGED)
@@ -335,13 +325,12 @@ def main() -> int:
     parser.add_argument("--patients", type=int, default=60, help="how many virtual ones")
     parser.add_argument("--only", nargs="*", choices=SETS, default=SETS, help="these sets")
     options = parser.parse_args()
-    console = console_of(150)
     results = [*real(feet_of(options.data, options.only)), *virtual(options.patients)]
-    publish(console, tables_of(results), options, named_by_mistake(results))
+    publish(tables_of(results), options, named_by_mistake(results))
     told = [0 <= one.later <= WITHIN for one in results if one.case in PLANTED]
     belt = [one for one in results if one.case == "sound" and one.group.startswith("stroke_treadmill")]
-    return verdict(console, float(np.mean(told)) >= SHARE and not any(one.namings for one in belt))
+    return verdict(float(np.mean(told)) >= SHARE and not any(one.namings for one in belt))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

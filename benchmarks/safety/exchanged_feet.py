@@ -8,14 +8,13 @@ middle. False: a walk on its own sides that is called exchanged at any time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from rich.table import Table
 
-from benchmarks.lib.command_line import console_of, parser_of, publish
+from benchmarks.lib.command_line import parser_of, publish, table_of
 from benchmarks.lib.real_sets import data_folder, load_run, runs_of
 from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import tell_sides
@@ -92,7 +91,7 @@ def virtual(patients: int) -> Iterator[Feet]:
         yield recorded_walk(settings, WALKS_S, 1.0, "sides", "simulated").tracks
 
 
-def report(group: str, walks: Iterator[Feet], table: Table) -> None:
+def rows_of(group: str, walks: Iterable[Feet]) -> Iterator[list[str]]:
     """One row for each number of strides asked."""
     exchanged, own, refused = list[Seen](), list[Seen](), 0
     for tracks in walks:
@@ -115,26 +114,22 @@ def report(group: str, walks: Iterator[Feet], table: Table) -> None:
         false = sum(named(seen, asked) is not None for seen in own)
         middle = f"{np.median(at_all):.0f}" if at_all else "–"
         mark = ", the product's" if asked == LEAST_STRIDES else ""
-        table.add_row(
-            group, f"{asked}{mark}", *(str(each) for each in (len(own), refused, soon, len(at_all))), middle, str(false)
-        )
+        yield [group, f"{asked}{mark}", *map(str, (len(own), refused, soon, len(at_all))), middle, str(false)]
 
 
 def main() -> None:
     parser = parser_of(__doc__, data_folder())
     parser.add_argument("--patients", type=int, default=12)
     options = parser.parse_args()
-    table = Table(*COLUMNS)
-    report("bundled", iter([read_recording(BUNDLED).tracks]), table)
-    report("virtual", virtual(options.patients), table)
+    rows = [*rows_of("bundled", [read_recording(BUNDLED).tracks]), *rows_of("virtual", virtual(options.patients))]
     if options.data.is_dir():
         floor = sorted((options.data / "unseen_walkers" / "stroke_walks").glob("*.npz"))
         belt = {"stroke survivors": options.data, "others": options.data / "unseen_walkers"}
         for name, folder in belt.items():
-            report(f"{name}, treadmill", (load_run(path)[0] for path in runs_of(folder)), table)
+            rows += rows_of(f"{name}, treadmill", (load_run(path)[0] for path in runs_of(folder)))
         walks = (read_file("stroke_walks", path).recording.tracks for path in floor)  # each foot by its own clock
-        report("stroke survivors and others, floor", walks, table)
-    publish(console_of(140), [table], options)
+        rows += rows_of("stroke survivors and others, floor", walks)
+    publish([table_of("", COLUMNS, rows)], options)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from random import Random
 import numpy as np
 
 from benchmarks.lib.channels import channel
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of, verdict
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of, verdict
 from benchmarks.lib.real_sets import TRIALS, data_folder, stairs, xio
 from benchmarks.lib.walkers import LYING, SETS, calibrated, feet_of, outcomes_of
 from benchmarks.loop.tuning_cohort import drawn
@@ -355,9 +355,8 @@ def main(arguments: list[str] | None = None) -> int:
         table_of("Sound sensors", sound, rows),
         table_of("Told within 0.1 s; within a stride (1.5 s); before the next pre-swing; median", columns, told),
     ]
-    console = console_of(200)
-    publish(console, tables, options, notes, data_folder())
-    return verdict(console, wrong <= BAR * bursts and not any(c.accused for c in of_people))
+    publish(tables, options, notes, data_folder())
+    return verdict(wrong <= BAR * bursts and not any(c.accused for c in of_people))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ persons in order of set and name every other one is known, the first included: o
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,9 +15,9 @@ import numpy as np
 from rich.table import Table
 from scipy.stats import chi2
 
-from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, spread, table_of
-from benchmarks.lib.real_sets import data_folder, pyshoe_vicon, ruler_walks
-from benchmarks.lib.walkers import Foot, footswitch_treadmill, gaitmap, measured_walks, stroke_treadmill, stroke_walks
+from benchmarks.lib.command_line import no_recordings, parser_of, publish, spread, table_of
+from benchmarks.lib.real_sets import data_folder
+from benchmarks.lib.walkers import FOOT_SETS, LYING, Foot, feet_of
 from fes.analysis.pipeline import analyse
 from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import CalibrationError
@@ -31,7 +30,6 @@ NEAR = (1, 2, 5)  # strides
 GREAT = 0.05  # of stride length
 FEET_OF_A_PERSON = 1
 ONE_PERSON = ("pyshoe_vicon", "ruler_walks")  # as far as their authors tell
-LYING = ("P06",)  # its accelerometer is off gravity by more than 3 m/s² in 29 % of its quiet samples
 
 
 def lag(ms: float) -> Change:
@@ -153,12 +151,7 @@ class Walker:
 
 
 def walkers(seconds: float) -> list[Walker]:
-    base, found, feet = data_folder(), [], list[Foot]()
-    for folder in (base, base / "unseen_walkers"):
-        feet += stroke_treadmill(folder, "")
-        feet += measured_walks(pyshoe_vicon(folder), "", lambda name: name[:10])
-        feet += measured_walks(ruler_walks(folder), "", lambda name: name)
-        feet += [*gaitmap(folder, ""), *stroke_walks(folder, ""), *footswitch_treadmill(folder, "")]
+    found, feet = [], list(feet_of(data_folder(), FOOT_SETS))
     persons = [(foot.data_set, "" if foot.data_set in ONE_PERSON else foot.person) for foot in feet]
     known, taken = set(sorted(set(persons))[::2]), dict.fromkeys(persons, 0)
     for foot, person in zip(feet, persons, strict=True):
@@ -298,9 +291,9 @@ def main() -> int:
     tables += [of_begins(rows, later)] if later else []
     notes = [f"Accused as they are: {'; '.join(accused) or 'none'}."]
     notes.append(f"{sum(row.refused for row in sound)} feet are refused as they are and judged no further.")
-    publish(console_of(200), tables, options, notes, data_folder())
+    publish(tables, options, notes, data_folder())
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -26,6 +26,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.lib.channels import channel, toml
 from benchmarks.lib.command_line import parser_of
 from benchmarks.speed.speed_row import Row, print_rows
 from benchmarks.speed.speed_table import Spent, machine, result_of
@@ -56,37 +57,9 @@ print(json.dumps([sysconfig.get_path("purelib"), importlib.util.find_spec("numba
 """
 INTENSITY = 0.5
 
-CHANNEL = """
-[[channels]]
-name = "tibialis anterior {foot}"
-number = {number}
-foot = "{foot}"
-electrode_area_cm2 = 25.0
-current_ma = 40.0
-pulse_width_us = 300.0
-frequency_hz = 40.0
-rise_s = 0.1
-[channels.limits]
-max_current_ma = 80.0
-max_pulse_width_us = 400.0
-max_frequency_hz = 50.0
-max_charge_per_phase_uc = 24.0
-max_charge_per_minute_mc = 50.0
-max_current_density_ma_per_cm2 = 1.0
-max_rise_ma_per_s = 800.0
-max_on_s = 3.0
-min_off_s = 0.05
-"""
-SENSOR = """
-[[sensors]]
-sensor = "{foot}"
-device = "{device}"
-port = "{port}"
-rate_hz = {rate_hz}
-acc_range_g = 16.0
-gyr_range_dps = 2000.0
-{options}
-"""
+LIMITS = {
+    "max_current_ma": 80.0, "max_charge_per_phase_uc": 24.0, "max_rise_ma_per_s": 800.0, "min_off_s": 0.05
+}  # fmt: skip
 
 
 def walk(before_s: float, strides: int, rate_hz: float) -> Recording:
@@ -99,26 +72,29 @@ def walk(before_s: float, strides: int, rate_hz: float) -> Recording:
 
 
 def settings(node: NodeHandle, ports: dict[str, str], rate_hz: float) -> str:
-    text = f'name = "latency"\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 1\n'
+    """The session file."""
+    text = toml("", {"name": "latency", "stimulation": {"intensity": INTENSITY, "strides_before_start": 1}})
     for number, foot in enumerate(FOOT_SENSORS):
-        text += CHANNEL.format(foot=foot, number=number)
-        device, options = ("xbus", "[sensors.options]\nbaudrate = 921600") if foot == "right_foot" else ("ximu3", "")
-        text += SENSOR.format(foot=foot, device=device, port=ports[foot], rate_hz=rate_hz, options=options)
-    text += f'[bus]\ninterface = "{node.bus.interface}"\nchannel = "{node.bus.channel}"\n'
-    return text + f"[bus.options]\nport = {node.bus.options['port']}\n"
+        name = f"tibialis anterior {foot}"
+        text += toml("[[channels]]", channel(foot, LIMITS, name=name, number=number, current_ma=40.0, rise_s=0.1))
+        worn = {"sensor": foot, "device": "ximu3", "port": ports[foot], "rate_hz": rate_hz}
+        worn |= {"acc_range_g": 16.0, "gyr_range_dps": 2000.0}
+        if foot == "right_foot":
+            worn |= {"device": "xbus", "options": {"baudrate": 921600}}
+        text += toml("[[sensors]]", worn)
+    bus = {"interface": node.bus.interface, "channel": node.bus.channel, "options": {"port": node.bus.options["port"]}}
+    return text + toml("[bus]", bus)
 
 
 def drive(operator: ScriptedOperator, controller: ControllerProcess, seconds: float) -> None:
     """Arm whenever it is not, raise, until the time is over or the session ends."""
-    end_s, faults = time.monotonic() + seconds, 0
+    end_s = time.monotonic() + seconds
     while time.monotonic() < end_s and controller.alive:
         time.sleep(0.2)
         status = operator.receive_status()
         if status is None:
             continue
         if status.state in ("shadow", "fault"):
-            if status.state == "fault" and status.fault:
-                faults += 1
             operator.send_command("arm")
         elif status.intensity < INTENSITY:
             operator.send_command("up")

@@ -23,11 +23,8 @@ from tempfile import TemporaryDirectory
 from benchmarks.lib.figures import RESULTS, Figures, Result
 from benchmarks.speed import speed
 from benchmarks.speed.cohort import cohort_rows
-from benchmarks.speed.speed_growth import growth_rows
-from benchmarks.speed.speed_live import live_rows, live_step, recordings
-from benchmarks.speed.speed_peers import peer_rows
 from benchmarks.speed.speed_row import Row, print_rows
-from benchmarks.speed.speed_session import session_rows
+from benchmarks.speed.speed_session import growth_rows, live_rows, session_rows, step_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 BUSY = 0.15  # processors that others take: from there on what counts by the clock counts little
@@ -56,8 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
         measured: dict[str, Callable[[Path], list[Row]]] = {
             "road": lambda folder: speed.road_rows(1.0 if quick else 10.0, folder),
             "analysis": lambda folder: speed.measure(1.0 if quick else 10.0, folder, cold=not quick),
-            "live": lambda _: live_rows(recordings()),
-            "peers": lambda _: peer_rows(speed.one_walk(), given.peers, live_step(speed.one_walk()).mean_us),
+            "live": lambda _: live_rows(),
+            "peers": lambda _: speed.peer_rows(speed.one_walk(), given.peers, step_rows(speed.one_walk())[0].value),
             "growth": lambda folder: growth_rows([0.2, 0.6] if quick else [1.0, 2.0, 5.0, 10.0], folder),
             "session": lambda folder: session_rows(0.05 if quick else 1.0, folder),
             "cohort": lambda folder: list(cohort_rows(given.recordings or (32 if quick else 2000), folder)),
