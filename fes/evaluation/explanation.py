@@ -246,14 +246,14 @@ class _Moment:
         if onset is None or channel.onset != "predicted":
             return ""
 
-        def at(t_ns: float | None) -> str:
+        def when(t_ns: float | None) -> str:
             return f"at {self.seconds(t_ns or 0):.3f} s"
 
         text = f" Its {onset.describe()}."
         if onset.expected_ns is not None:
-            text += f" The heel was expected to rise {at(onset.expected_ns)}"
-            text += f"; the burst was asked for early, {at(onset.began_ns)}" if onset.used else ""
-            text += f"; it rose {at(onset.came_ns)}." if onset.came_ns is not None else "."
+            text += f" The heel was expected to rise {when(onset.expected_ns)}"
+            text += f"; the burst was asked for early, {when(onset.began_ns)}" if onset.used else ""
+            text += f"; it rose {when(onset.came_ns)}." if onset.came_ns is not None else "."
         return text
 
     def _not_asked(self, channel: Channel) -> str:

@@ -110,7 +110,7 @@ def recording_from_arrays(
     sidecar = Sidecar.model_validate({"time_unit": "ns", "rate_hz": rate_hz, "sensors": sensors})
     path = Path(name)
     raw: dict[str, RawTrack] = {
-        each: raw_track(_table(path, each, given[each]), each, sidecar.of(each)) for each in sidecar.sensors
+        each: raw_track(_table(path, each, given[each]), each, sidecar.columns_of(each)) for each in sidecar.sensors
     }
     return Recording(name, None, tracks_of(path, sidecar, raw), belt_speed_mps, geometry=dict(geometry or {}))
 

@@ -144,9 +144,9 @@ def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, Ra
         whole = [sensor for sensor in sensors if not sidecar.sensors[sensor].gyr_file]
         if whole:
             table = Table.read(source, *_columns(sidecar_path, sidecar, whole))
-            raw |= {sensor: raw_track(table, sensor, sidecar.of(sensor)) for sensor in whole}
+            raw |= {sensor: raw_track(table, sensor, sidecar.columns_of(sensor)) for sensor in whole}
         for sensor in (sensor for sensor in sensors if sensor not in whole):
-            table, columns, count = joined_table(source, sensor, sidecar.of(sensor), sidecar.dialect)
+            table, columns, count = joined_table(source, sensor, sidecar.columns_of(sensor), sidecar.dialect)
             raw[sensor] = replace(raw_track(table, sensor, columns), repaired=count)
     return _in_one_turn(raw, sidecar)
 
@@ -155,7 +155,7 @@ def _in_one_turn(raw: dict[str, RawTrack], sidecar: Sidecar) -> dict[str, RawTra
     """Counters that wrapped a different number of times before their tracks begin, brought next to the first's."""
     first_ns: int | None = None
     for sensor in sidecar.sensors:
-        track, columns = raw[sensor], sidecar.of(sensor)
+        track, columns = raw[sensor], sidecar.columns_of(sensor)
         if columns.time_wraps_at is None or not track.t_sensor_ns.size:
             continue
         first_ns = int(track.t_sensor_ns[0]) if first_ns is None else first_ns
@@ -177,7 +177,7 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
     for table in Table.parts(path, wanted, rows):
         found: dict[str, RawTrack] = {}
         for sensor in sensors:
-            raw = raw_track(table, sensor, sidecar.of(sensor), silent=True)
+            raw = raw_track(table, sensor, sidecar.columns_of(sensor), silent=True)
             if raw.t_sensor_ns.size:
                 found[sensor] = raw
         del table, raw  # who clears what is yielded lets go of the file's columns too
@@ -186,7 +186,7 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
 
 def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tuple[list[str], list[str], Dialect]:
     """Which columns to read, which of them are times, and how the text is laid out."""
-    described = [sidecar.of(sensor) for sensor in sensors]
+    described = [sidecar.columns_of(sensor) for sensor in sensors]
     values = [name for columns in described for name in (*columns.acc, *columns.gyr)]
     times = [columns.time_column for columns in described] + [columns.arrival_column for columns in described]
     time_names = list(dict.fromkeys(name for name in times if name))
@@ -197,7 +197,7 @@ def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tup
 
 
 def raw_track(table: Table, sensor: str, columns: SensorColumns, *, silent: bool = False) -> RawTrack:
-    """A sensor's rows of a table, by its columns as :meth:`Sidecar.of` gives them.
+    """A sensor's rows of a table, by its columns as :meth:`Sidecar.columns_of` gives them.
 
     ``silent``: it may be that all of its cells are empty.
 

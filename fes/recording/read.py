@@ -69,7 +69,7 @@ def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterato
 
 def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, whole_s: float) -> int:
     """How many rows make a part; 0 where all is one, or has to be read at once."""
-    columns = [sidecar.of(sensor) for sensor in sidecar.sensors]
+    columns = [sidecar.columns_of(sensor) for sensor in sidecar.sensors]
     if not is_parquet(path) or sidecar.can is not None or any(each.file or each.gyr_file for each in columns):
         return 0
     if len({(each.time_column, each.time_unit) for each in columns}) > 1:
@@ -129,7 +129,7 @@ def tracks_of(
         RecordingError: as of :func:`read_recording`.
     """
     before = before or {}
-    described = {str(sensor): sidecar.of(sensor) for sensor in sidecar.sensors}
+    described = {str(sensor): sidecar.columns_of(sensor) for sensor in sidecar.sensors}
     judged: Judged = {}
     tracks = {
         sensor: _track(path, sensor, described[sensor], raw[sensor], judged, before.get(sensor))

@@ -150,7 +150,7 @@ class Sidecar(Settings):
                 if place in owner:
                     raise ValueError(f"column {place[-1]!r} is given to {owner[place]} and to {sensor}")
                 owner[place] = sensor
-            columns = self.of(sensor)
+            columns = self.columns_of(sensor)
             if columns.gyr_file and not columns.time_column:
                 raise ValueError(f"{sensor} is of two files, which only times bring together: say time_column = …")
             for key, allowed in (("acc_unit", '"m/s^2" or "g"'), ("gyr_unit", '"rad/s" or "deg/s"')):
@@ -168,7 +168,7 @@ class Sidecar(Settings):
         """How the text of its CSV files is laid out."""
         return Dialect(**{field.name: getattr(self, field.name) for field in fields(Dialect)})
 
-    def of(self, sensor: Sensor) -> SensorColumns:
+    def columns_of(self, sensor: Sensor) -> SensorColumns:
         """A sensor's columns, with what holds for all sensors where it does not say it itself."""
         columns = self.sensors[sensor]
         return columns.model_copy(update={key: getattr(self, key) for key in _SHARED if getattr(columns, key) is None})
