@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.lib.command_line import no_recordings, parser_of, publish
 from benchmarks.lib.real_sets import MARKERS_HZ, BoolArray, data_folder, gaitmap_markers, gaitmap_walk
-from fes.datasets.broad import OldHdf5
+from fes.datasets.walks import broad_trial
 from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
 from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.signals import FloatArray
@@ -58,8 +58,7 @@ def broad(folder: Path) -> list[Trial]:
     """A board moved by hand, 285.7 Hz; judged where the set's own mask says "movement" and the cameras saw it."""
     trials = []
     for path in sorted((folder / "broad").glob("*.hdf5")):
-        file = OldHdf5(path)
-        arrays, rate_hz = file.arrays(), file.attributes()["sampling_rate"]
+        arrays, rate_hz = broad_trial(path)
         truth = np.asarray(arrays["opt_quat"], dtype=np.float64)
         judged = arrays["movement"].astype(bool) & np.isfinite(truth).all(axis=1)
         acc, gyr = (np.ascontiguousarray(arrays[name], dtype=np.float64) for name in ("imu_acc", "imu_gyr"))

@@ -24,10 +24,10 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from benchmarks.speed.speed_row import Row
-from fes.cohort.engine import analyse_all, cluster
+from fes.cohort.engine import cluster, run_tasks
 from fes.cohort.page import write_pages
 from fes.cohort.store import RECORDINGS, Source, Store, find_sources
-from fes.cohort.task import DONE, Outcome, Settings, analyse_one
+from fes.cohort.task import DONE, Analysis, Outcome, Settings
 
 TRIAL = Path(__file__).parents[2] / "sim_inputs" / "both_feet_100hz"
 GROUP = "a cohort"
@@ -74,7 +74,7 @@ def timed(sources: list[Source], store: Store, workers: int, kill: bool = False)
     with cluster(workers) as client:
         warm = Store(store.url + "-warm")
         warm.prepare({})
-        client.run(analyse_one, sources[0], warm, Settings())  # in each worker
+        client.run(Analysis(warm, sources[0], Settings()).done)  # in each worker
         victim = min(client.run(os.getpid).values())
 
         def tell(_: Outcome) -> None:
@@ -85,7 +85,7 @@ def timed(sources: list[Source], store: Store, workers: int, kill: bool = False)
 
         spent_s = sum(client.run(_spent).values())
         own_s, begin_s = time.process_time(), time.perf_counter()
-        outcomes = analyse_all(client, sources, store, Settings(), tell)
+        outcomes = run_tasks(client, [Analysis(store, source, Settings()) for source in sources], tell)
         seconds, own_s = time.perf_counter() - begin_s, time.process_time() - own_s
         spent_s = sum(client.run(_spent).values()) - spent_s  # nonsense where a worker was killed, and not used then
         return Run(seconds, begin_s - start_s, spent_s, own_s, outcomes)

@@ -11,7 +11,7 @@ import numpy as np
 
 from fes.analysis.tables import Table
 from fes.recording import Recording
-from fes.recording.at_once import at_once
+from fes.recording.chunks import at_once
 from fes.recording.tracks import Track
 from fes.signals import FOOT_SENSORS, StrideResult
 from fes.walk_record import Finding

@@ -31,8 +31,7 @@ from fes.estimation.strides.results import StrideMaker
 from fes.estimation.tracking.tracker import Tracker
 from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.recording import Recording, Track
-from fes.recording.at_once import at_once
-from fes.recording.chunks import Chunk
+from fes.recording.chunks import Chunk, at_once
 from fes.recording.tracks import UNLABELLED_FEET, newer_samples
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
 from fes.witness.frozen import without_frozen

@@ -8,8 +8,9 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -34,9 +35,8 @@ if TYPE_CHECKING:
     from fes.cohort.store import Measure, Store
     from fes.cohort.sweep.table import Combination
     from fes.cohort.sweep.task import Case
-    from fes.cohort.task import Outcome
+    from fes.cohort.task import Outcome, Task
 
-Task = TypeVar("Task")
 PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 
 
@@ -78,9 +78,9 @@ def cohort_command(
     the scheduler gone), 130 interrupted.
     """
     need_extra("cohort")
-    from fes.cohort.engine import analyse_all, cluster
+    from fes.cohort.engine import cluster, run_tasks
     from fes.cohort.store import RECORDINGS, Store, find_sources, program
-    from fes.cohort.task import Settings, drop_replaced
+    from fes.cohort.task import Analysis, Settings, drop_replaced
 
     try:
         re.compile(subject_from)
@@ -89,15 +89,15 @@ def cohort_command(
     store, settings = Store(results_at(out)), Settings(not uneven, subject_from, sync_clocks)
     with resumable(store.url) as run:
         sources = find_sources([absolute(pattern) for pattern in recordings])
-        by_identity = {source.identity(settings.text()): source for source in sources}
+        by_identity = {task.key: task for task in (Analysis(store, source, settings) for source in sources)}
         about = {"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()}
         store.prepare(about | {"program": program()})
-        todo = unfinished(store, by_identity, RECORDINGS, "recording", retry_failed)
+        todo = unfinished(store, by_identity, retry_failed)
         if todo:
             number = min(workers or processors(), len(todo))
             with cluster(number, scheduler, time_limit) as client, progress_bar(len(todo), "analysing") as advance:
                 run.begun = True
-                analyse_all(client, todo, store, settings, advance, time_limit)
+                run_tasks(client, todo, advance, time_limit)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows: list[dict[str, Any]] = store.table(RECORDINGS, by_identity).to_pylist()
@@ -160,11 +160,12 @@ def resumable(place: str) -> Iterator[Run]:
         interrupted(". Run the same command again to go on from here.")
 
 
-def unfinished(store: Store, tasks: Mapping[str, Task], table: str, key: str, retry_failed: bool) -> list[Task]:
+def unfinished(store: Store, tasks: Mapping[str, Task], retry_failed: bool) -> list[Task]:
     """The tasks, by the names of their results, of which the store holds none; those that failed only to be retried."""
     finished = store.finished() & tasks.keys()
     if retry_failed:
-        again = {row[key] for row in store.table(table, finished).to_pylist() if row["status"] != "done"}
+        key, rows = store.schemas[store.last].names[0], store.table(store.last, finished).to_pylist()
+        again = {row[key] for row in rows if row["status"] != "done"}
         store.forget(again)
         finished -= again
     if finished:
@@ -267,7 +268,7 @@ def sweep_command(
     from fes.cohort.store import find_sources
     from fes.cohort.sweep.grid import combinations_of, parse_axis
     from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store
-    from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient, sweep_tasks
+    from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient, Trial
     from fes.config import load_session
 
     if bool(recordings) == bool(patients):
@@ -287,13 +288,13 @@ def sweep_command(
             )
         store = sweep_store(results_at(out))
         store.prepare({"command": "fes sweep", "session": str(session), "set": list(asked), "seed": seed})
-        tasks = sweep_tasks(cases, tried, bench, store)
-        todo = unfinished(store, tasks, RESULTS, "result", retry_failed)
+        tasks = {task.key: task for task in (Trial(store, *each, bench) for each in product(cases, tried))}
+        todo = unfinished(store, tasks, retry_failed)
         if todo:
             number = min(workers or processors(), len(todo))
             with cluster(number, scheduler, time_limit) as client, progress_bar(len(todo), "trying") as advance:
                 run.begun = True
-                run_tasks(client, todo, store.url, advance, time_limit)
+                run_tasks(client, todo, advance, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()
         measures = measures_in(rows)
         found = combinations(rows, measures)

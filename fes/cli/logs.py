@@ -13,7 +13,7 @@ from fes.cli.show import print_json, screen
 from fes.config import ConfigError
 from fes.session_log import SessionLogError, read_session
 from fes.session_log.framing import RecordType
-from fes.session_log.repair import NAMES, Survey, recover, survey
+from fes.session_log.repair import Survey, recover, survey
 from fes.signals import NS_PER_S
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ def _show_survey(found: Survey, target: Path | None) -> None:
         kinds = ", ".join(
             f"{count} place{'s' * (count != 1)} of unknown kind"
             if kind == "unknown"
-            else f"{count} {NAMES[RecordType[kind.upper()]][count != 1]}"
+            else f"{count} {RecordType[kind.upper()].words[count != 1]}"
             for kind, count in sorted(found.lost_kinds.items())
         )
         span = f", {1e-6 * found.lost_ns:.0f} ms inside the session" if found.lost_ns else ""

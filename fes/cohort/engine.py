@@ -13,13 +13,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
 from itertools import count
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from fes.cohort.store import CohortError, Source, Store, program
-from fes.cohort.task import Outcome, Settings, analyse_one, keep_failure, reason_of
+from fes.cohort.store import CohortError, program
+from fes.cohort.task import Outcome, Task, reason_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -78,20 +76,6 @@ def _set_due(due_s: float | None) -> None:
             faulthandler.cancel_dump_traceback_later()
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One piece of work that keeps its own results; no two have the same ``key``.
-
-    ``work`` is called with ``arguments`` in a worker process; both must survive pickling. ``lost`` is called here with
-    the reason when the task cannot be worked on; it gives the outcome.
-    """
-
-    key: str
-    work: Callable[..., Outcome]
-    arguments: tuple[Any, ...]
-    lost: Callable[[str], Outcome]
-
-
 @contextmanager
 def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> Iterator[Client]:
     """A client of the cluster at ``scheduler``, or of one with ``workers`` single-threaded processes on this machine.
@@ -146,29 +130,10 @@ def _check_workers(client: Client, scheduler: str) -> None:
             raise CohortError(f"{address}: has fes {version}, not {program()}. Install the same version on all.")
 
 
-def analyse_all(
-    client: Client,
-    sources: Sequence[Source],
-    store: Store,
-    settings: Settings,
-    on_outcome: OnOutcome,
-    limit_s: float | None = None,
-) -> list[Outcome]:
-    """Analyse recordings on a cluster, each once; ``on_outcome`` hears of each as it is finished, or after ``limit_s``.
-
-    CohortError: as :func:`run_tasks`.
-    """
-    tasks = []
-    for source in sources:
-        own = source, store, settings
-        tasks.append(Task(source.identity(settings.text()), analyse_one, own, partial(keep_failure, *own)))
-    return run_tasks(client, tasks, store.url, on_outcome, limit_s)
-
-
 def run_tasks(
-    client: Client, tasks: Sequence[Task], place: str, on_outcome: OnOutcome, limit_s: float | None = None
+    client: Client, tasks: Sequence[Task], on_outcome: OnOutcome, limit_s: float | None = None
 ) -> list[Outcome]:
-    """Do every task once, many of them in a batch; ``place`` is where results are kept, for messages.
+    """Do every task once, many of them in a batch; ``on_outcome`` hears of each as it is finished.
 
     A worker that dies loses nothing: what it had is done again elsewhere, and results replace themselves. What was on a
     worker whenever it died is tried once more by itself, at the end: only the task that is to blame is given up. One
@@ -191,8 +156,7 @@ def run_tasks(
     def submit(batch: list[Task]) -> object:
         key = f"fes-{batch[0].key}-{next(numbers)}"
         submitted[key] = batch
-        pickled = pickle.dumps([(task.work, task.arguments) for task in batch])
-        return client.submit(_work_on, pickled, limit_s, key=key, pure=False)
+        return client.submit(_work_on, pickle.dumps(batch), limit_s, key=key, pure=False)
 
     def next_batch() -> list[Task]:
         share = max(len(waiting) // (BATCHES * workers), int(SHORTEST_S / pace_s))
@@ -208,7 +172,7 @@ def run_tasks(
         try:
             found, seconds = future.result()
             pairs = zip(batch, found, strict=True)
-            finished = [task.lost(each) if isinstance(each, str) else each for task, each in pairs]
+            finished = [task.failed(each) if isinstance(each, str) else each for task, each in pairs]
             pace_s = max(seconds / len(batch), 1e-6)
         except KilledWorker:
             if alone:
@@ -216,7 +180,7 @@ def run_tasks(
                 why = f"the process that worked on it died {times}; is it too long for a worker's memory?"
                 if limit_s is not None and time.monotonic() - began_s >= limit_s:
                     why = f"took longer than {limit_s:g} s"
-                finished = [batch[0].lost(why)]
+                finished = [batch[0].failed(why)]
             else:
                 suspects += batch
         except CohortError:
@@ -224,7 +188,7 @@ def run_tasks(
         except (CommClosedError, CancelledError) as error:
             raise CohortError(f"The Dask scheduler is gone. {again}") from error
         except OSError as error:
-            raise CohortError(f"{place}: results cannot be kept: {error}. Make room: {again}") from error
+            raise CohortError(f"{batch[0].store.url}: results cannot be kept: {error}. Make room: {again}") from error
         except Exception as error:  # as of a worker that came later and has no fes
             raise CohortError(f"The workers cannot do it: {reason_of(error)}. {again}") from error
         outcomes.extend(finished)
@@ -248,10 +212,10 @@ def _work_on(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome
     """
     begin_s = time.perf_counter()
     outcomes: list[Outcome | str] = []
-    for work, arguments in pickle.loads(pickled):
+    for task in pickle.loads(pickled):
         try:
             with ended_after(limit_s):
-                outcomes.append(work(*arguments))
+                outcomes.append(task.done())
         except (OSError, CohortError):
             raise
         except Exception as error:  # must not take the others of the batch along

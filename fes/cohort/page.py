@@ -156,14 +156,10 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
 def _columns(table: pa.Table) -> dict[str, Any]:
     """Arrays of what the pages show; times of strides are worked out."""
     found = {name: np.array(table[name].to_pylist(), dtype=object) for name in NAMES}
-    found["valid"] = np.array(table["valid"].to_pylist(), dtype=bool)
-
-    def numbers(name: str) -> FloatArray:
-        return np.array([np.nan if v is None else v for v in table[name].to_pylist()], dtype=np.float64)
-
-    found["t_start_s"] = numbers("t_start_s")
-    found["stride_time_s"] = numbers("t_end_s") - found["t_start_s"]
-    return found | {m.name: numbers(m.name) for m in MEASURES if m.name not in found}
+    found |= {name: table[name].to_numpy() for name in COLUMNS if name not in NAMES}  # NaN where nothing is known
+    found["valid"] = table["valid"].fill_null(False).to_numpy()
+    found["stride_time_s"] = found["t_end_s"] - found["t_start_s"]
+    return found
 
 
 def _histograms(strides: dict[str, Any]) -> list[Figure]:

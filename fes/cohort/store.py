@@ -1,11 +1,9 @@
-"""The cohort's results as a Parquet data set: ``strides/``, ``events/`` and ``recordings/``, one part a recording.
-
-A recording's row in ``recordings/`` is written last, in one step: it being there says that all of the recording is.
-
-Which recordings a cohort is made of: paths, globs and addresses on any storage that fsspec opens.
+"""Which recordings a cohort is made of, on any storage that fsspec opens, and its results as a Parquet data set.
 
 A recording is a data file, its sidecar, and what that names: sensors' own files, a DBC. With the program that worked on
-it they name its results, so that no old result passes for new.
+it they name its results, so that no old result passes for new. Results are ``strides/``, ``events/`` and
+``recordings/``, one part a recording; its row in ``recordings/`` is written last, in one step, and says that all is
+there.
 """
 
 from __future__ import annotations
@@ -43,12 +41,7 @@ LARGEST_SIDECAR: Final = 1_000_000  # bytes: a larger one is no sidecar, and is 
 _DEEP: Final = 8  # folders that a file may lie above its sidecar, at most
 PACKAGES: Final = ("fes", "drivers", "statemachine")
 SUFFIXES: Final = TABLE_SUFFIXES + CAN_SUFFIXES
-BY_CONTENT: Final = (
-    ".txt",
-    ".xdf",
-    ".h5",
-    "",
-)  # of names that end so, each is one where no other data file has its sidecar
+BY_CONTENT: Final = (".txt", ".xdf", ".h5", "")  # each is one where no other data file has its sidecar
 
 
 @cache
@@ -267,43 +260,28 @@ ABOUT: Final = "cohort.json"
 
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
 _KINDS: Final = {str: _TEXT, float: _NUMBER, int: _COUNT, bool: pa.bool_()}
-_OF: Final = [("recording", _TEXT), ("subject", _TEXT), ("foot", _TEXT)]
 
 
-def _numbers(*names: str) -> list[tuple[str, pa.DataType]]:
-    return [(name, _NUMBER) for name in names]
+def columns_of(kind: pa.DataType, names: str) -> list[tuple[str, pa.DataType]]:
+    """Columns of one kind for a schema."""
+    return [(name, kind) for name in names.split()]
 
 
 SCHEMAS: Final[Mapping[str, pa.Schema]] = {
     RECORDINGS: pa.schema(
-        [
-            *[
-                (name, _TEXT)
-                for name in (
-                    "recording",
-                    "source",
-                    "name",
-                    "subject",
-                    "group",
-                    "status",
-                    "reason",
-                    "fes_version",
-                    "findings",
-                )
-            ],
-            *[(name, _COUNT) for name in ("samples", "missing", "clipped", "irregular", "strides", "valid_strides")],
-            *_numbers("duration_s", "belt_speed_mps", "stride_length_m", "speed_mps", "stride_time_s", "clearance_m"),
-            *_numbers("cadence_per_min", "step_time_s", "swing_symmetry_percent", "step_time_symmetry_percent"),
-            *_numbers("stride_time_cv_percent", "stride_length_cv_percent"),
-        ]
+        columns_of(_TEXT, "recording source name subject group status reason fes_version findings")
+        + columns_of(_COUNT, "samples missing clipped irregular strides valid_strides")
+        + columns_of(_NUMBER, "duration_s belt_speed_mps stride_length_m speed_mps stride_time_s clearance_m")
+        + columns_of(_NUMBER, "cadence_per_min step_time_s swing_symmetry_percent step_time_symmetry_percent")
+        + columns_of(_NUMBER, "stride_time_cv_percent stride_length_cv_percent")
     ),
-    STRIDES: pa.schema([*_OF[:2], *((column.name, _KINDS[column.kind]) for column in TABLE)]),
+    STRIDES: pa.schema(
+        [*columns_of(_TEXT, "recording subject"), *((column.name, _KINDS[column.kind]) for column in TABLE)]
+    ),
     EVENTS: pa.schema(
-        [
-            *_OF,
-            *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s"),
-            *_numbers("t_foot_off_live_s", "t_initial_contact_live_s", "foot_strike_angle_rad"),
-        ]
+        columns_of(_TEXT, "recording subject foot")
+        + columns_of(_NUMBER, "t_foot_off_s t_mid_swing_s t_initial_contact_s t_foot_off_live_s")
+        + columns_of(_NUMBER, "t_initial_contact_live_s foot_strike_angle_rad")
     ),
 }
 

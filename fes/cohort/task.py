@@ -1,9 +1,13 @@
-"""One recording of a cohort, in whichever process: fetched, analysed, kept. Whatever is wrong with it becomes a row."""
+"""A piece of work, in whichever process, and what becomes of it; one recording of a cohort fetched, analysed, kept.
+
+Whatever is wrong with it becomes a row.
+"""
 
 from __future__ import annotations
 
 import math
 import statistics
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +22,7 @@ if TYPE_CHECKING:
 DONE: Final = "done"
 FAILED: Final = "failed"
 LONGEST_REASON: Final = 500
+Rows = dict[str, list[dict[str, Any]]]  # by table
 _MEANS: Final = ("stride_length_m", "speed_mps", "clearance_m")
 
 
@@ -39,7 +44,7 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How it went: the recording's identity, ``done`` or ``failed`` with the reason."""
+    """How it went: the task's key, its name for people, ``done`` or ``failed`` with the reason."""
 
     identity: str
     url: str
@@ -47,25 +52,113 @@ class Outcome:
     reason: str = ""
 
 
-def analyse_one(source: Source, store: Store, settings: Settings) -> Outcome:
-    """Analyse a recording and keep its rows; what is wrong with the recording is kept as its reason.
+@dataclass(frozen=True)
+class Task(ABC):
+    """One piece of work that keeps its own results in a store, wherever it is done: it must survive pickling."""
 
-    OSError: the results cannot be kept; the recording counts as not done.
-    """
-    identity = source.identity(settings.text())
-    try:
-        tables = _tables(source, identity, settings)
-    except Exception as error:  # one bad recording, however bad, must not stop the others
-        return keep_failure(source, store, settings, reason_of(error))
-    store.put(identity, tables)
-    return Outcome(identity, source.url, DONE)
+    store: Store
+
+    @property
+    @abstractmethod
+    def key(self) -> str:
+        """The name of its results; no two tasks have the same."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """For people."""
+
+    @abstractmethod
+    def tables(self) -> Rows:
+        """Do it: rows by table."""
+
+    @abstractmethod
+    def row(self, status: str, reason: str = "") -> dict[str, Any]:
+        """Of the store's last table, what is known whatever comes of it."""
+
+    def done(self) -> Outcome:
+        """Do it and keep its rows; what is wrong with it is kept as its reason.
+
+        OSError: the results cannot be kept; it counts as not done.
+        """
+        try:
+            tables = self.tables()
+        except Exception as error:  # a bad recording or combination, however bad, must not stop the others
+            return self.failed(reason_of(error))
+        self.store.put(self.key, tables)
+        return Outcome(self.key, self.name, DONE)
+
+    def failed(self, reason: str) -> Outcome:
+        """Note that it cannot be done, or that its process died again and again."""
+        self.store.put(self.key, {self.store.last: [self.row(FAILED, reason[:LONGEST_REASON])]})
+        return Outcome(self.key, self.name, FAILED, reason)
 
 
-def keep_failure(source: Source, store: Store, settings: Settings, reason: str) -> Outcome:
-    """Note a recording that cannot be analysed, or whose process died again and again."""
-    row = _row(source, settings, FAILED, "", reason)
-    store.put(row["recording"], {RECORDINGS: [row]})
-    return Outcome(row["recording"], source.url, FAILED, reason)
+@dataclass(frozen=True)
+class Analysis(Task):
+    """One recording to be analysed."""
+
+    source: Source
+    settings: Settings
+
+    @property
+    def key(self) -> str:
+        """The same for the same files, settings and program."""
+        return self.source.identity(self.settings.text())
+
+    @property
+    def name(self) -> str:
+        """Its address."""
+        return self.source.url
+
+    def row(self, status: str, reason: str = "", subject: str = "") -> dict[str, Any]:
+        """What is known of any recording; ``subject``: the sidecar's, else by the pattern, else the folder's name."""
+        subject = subject or self.source.subject(self.settings.subject_from) or self.source.path.parent.name
+        known = {"recording": self.key, "source": self.source.url, "fes_version": __version__}
+        return {**known, "status": status, "reason": reason, "subject": subject}
+
+    def tables(self) -> Rows:
+        """Its strides and events, and what it is on the whole."""
+        from fes.analysis.hemiparetic.sync import synchronised
+        from fes.analysis.parameters.gait import gait_parameters
+        from fes.analysis.pipeline import analyse, calibrations_of  # numeric libraries load where the work is done
+        from fes.config import Ground
+        from fes.recording import read_recording
+        from fes.recording.chunks import keep_freed_memory
+
+        keep_freed_memory()
+        with local_copy(self.source) as path:
+            recording = read_recording(path)
+            ground = recording.ground if self.settings.level else Ground(free=True)
+            recording, found = calibrations_of(recording, incline=ground.incline)
+            if self.settings.sync_clocks:
+                recording, _ = synchronised(recording, found.calibrations)
+            result = analyse(recording, found.calibrations, ground=ground)
+        row = self.row(DONE, "; ".join(found.missing.values())[:LONGEST_REASON], recording.subject)
+        of = {"recording": row["recording"], "subject": row["subject"]}
+        strides = [{**of, **finite_or_none(row)} for row in result.stride_table()]
+        valid = [row for row in strides if row["valid"]]
+        qualities = [track.quality for track in recording.tracks.values()]
+        counts = ("samples", "missing", "clipped", "irregular")
+        row |= {name: sum(getattr(quality, name) for quality in qualities) for name in counts}
+        row |= {
+            "name": recording.name,
+            "strides": len(strides),
+            "valid_strides": len(valid),
+            "duration_s": max(track.duration_s for track in recording.tracks.values()),
+            "belt_speed_mps": recording.belt_speed_mps,
+            "group": str(recording.extra.get("group", "")),
+            "findings": " ".join(each.text for each in result.findings if each.level in ("warning", "alert")),
+        }
+        row |= finite_or_none(_of_both_feet(gait_parameters(result)))
+        values = {name: [r[name] for r in valid if r[name] is not None] for name in _MEANS}
+        values["stride_time_s"] = [r["t_end_s"] - r["t_start_s"] for r in valid]
+        row |= {name: statistics.median(own) if own else None for name, own in values.items()}
+        return {
+            STRIDES: strides,
+            EVENTS: [{**of, **finite_or_none(r)} for r in result.event_table()],
+            RECORDINGS: [row],
+        }
 
 
 def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -> int:
@@ -84,45 +177,6 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
     return len(replaced)
 
 
-def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list[dict[str, Any]]]:
-    from fes.analysis.hemiparetic.sync import synchronised
-    from fes.analysis.parameters.gait import gait_parameters
-    from fes.analysis.pipeline import analyse, calibrations_of  # the numeric libraries load where the work is done
-    from fes.config import Ground
-    from fes.recording import read_recording
-    from fes.recording.chunks import keep_freed_memory
-
-    keep_freed_memory()
-    with local_copy(source) as path:
-        recording = read_recording(path)
-        ground = recording.ground if settings.level else Ground(free=True)
-        recording, found = calibrations_of(recording, incline=ground.incline)
-        if settings.sync_clocks:
-            recording, _ = synchronised(recording, found.calibrations)
-        result = analyse(recording, found.calibrations, ground=ground)
-    row = _row(source, settings, DONE, recording.subject, "; ".join(found.missing.values()))
-    of = {"recording": identity, "subject": row["subject"]}
-    strides = [{**of, **finite_or_none(row)} for row in result.stride_table()]
-    valid = [row for row in strides if row["valid"]]
-    qualities = [track.quality for track in recording.tracks.values()]
-    counts = ("samples", "missing", "clipped", "irregular")
-    row |= {name: sum(getattr(quality, name) for quality in qualities) for name in counts}
-    row |= {
-        "name": recording.name,
-        "strides": len(strides),
-        "valid_strides": len(valid),
-        "duration_s": max(track.duration_s for track in recording.tracks.values()),
-        "belt_speed_mps": recording.belt_speed_mps,
-        "group": str(recording.extra.get("group", "")),
-        "findings": " ".join(each.text for each in result.findings if each.level in ("warning", "alert")),
-    }
-    row |= finite_or_none(_of_both_feet(gait_parameters(result)))
-    values = {name: [r[name] for r in valid if r[name] is not None] for name in _MEANS}
-    values["stride_time_s"] = [r["t_end_s"] - r["t_start_s"] for r in valid]
-    row |= {name: statistics.median(own) if own else None for name, own in values.items()}
-    return {STRIDES: strides, EVENTS: [{**of, **finite_or_none(r)} for r in result.event_table()], RECORDINGS: [row]}
-
-
 def _of_both_feet(gait: GaitParameters) -> dict[str, float]:
     """What takes both feet, and how much their strides vary: of the steady strides, NaN where it is not known.
 
@@ -138,13 +192,6 @@ def _of_both_feet(gait: GaitParameters) -> dict[str, float]:
         variations = [own[name].cv for own in gait.feet.values() if name in own and math.isfinite(own[name].cv)]
         found[f"{key}_cv_percent"] = 100.0 * statistics.fmean(variations) if variations else math.nan
     return found
-
-
-def _row(source: Source, settings: Settings, status: str, subject: str, reason: str) -> dict[str, Any]:
-    """What is known of any recording; ``subject``: the sidecar's, else by the pattern, else the folder's name."""
-    subject = subject or source.subject(settings.subject_from) or source.path.parent.name
-    known = {"recording": source.identity(settings.text()), "source": source.url, "fes_version": __version__}
-    return {**known, "status": status, "reason": reason[:LONGEST_REASON], "subject": subject}
 
 
 def reason_of(error: Exception) -> str:

@@ -1,5 +1,6 @@
 """Channels, their limits and their tuning: what may be stimulated, with what, when; what the foot is to reach by it."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -149,24 +150,28 @@ class Channel(Settings):
     limits: ChannelLimits
     tuning: Tuning | None = None
 
+    def _over_limits(self, current_ma: float, pulse_width_us: float) -> Iterator[tuple[str, float, str, float, str]]:
+        """Which limits such pulses would break: what, its value and unit, the limit and its name."""
+        charge_uc = limits.charge_per_phase_uc(current_ma, pulse_width_us)
+        density = limits.current_density_ma_per_cm2(
+            current_ma, pulse_width_us, self.frequency_hz, self.electrode_area_cm2
+        )
+        reached = (
+            ("current_ma", current_ma, "mA", "max_current_ma"),
+            ("pulse_width_us", pulse_width_us, "µs", "max_pulse_width_us"),
+            ("frequency_hz", self.frequency_hz, "Hz", "max_frequency_hz"),
+            ("current_ma · pulse_width_us", charge_uc, "µC per phase", "max_charge_per_phase_uc"),
+            ("current density", density, "mA/cm² r.m.s.", "max_current_density_ma_per_cm2"),
+            ("current_ma / rise_s", current_ma / self.rise_s, "mA/s", "max_rise_ma_per_s"),
+        )
+        for what, value, unit, name in reached:
+            if value > (most := getattr(self.limits, name)):
+                yield what, value, unit, most, name
+
     @model_validator(mode="after")
     def _plan_fits_its_limits(self) -> Self:
-        cap = self.limits
-        charge = limits.charge_per_phase_uc(self.current_ma, self.pulse_width_us)
-        density = limits.current_density_ma_per_cm2(
-            self.current_ma, self.pulse_width_us, self.frequency_hz, self.electrode_area_cm2
-        )
-        checks = (
-            (self.current_ma, cap.max_current_ma, "current_ma", "mA"),
-            (self.pulse_width_us, cap.max_pulse_width_us, "pulse_width_us", "µs"),
-            (self.frequency_hz, cap.max_frequency_hz, "frequency_hz", "Hz"),
-            (charge, cap.max_charge_per_phase_uc, "current_ma · pulse_width_us", "µC per phase"),
-            (density, cap.max_current_density_ma_per_cm2, "current density", "mA/cm² r.m.s."),
-            (self.current_ma / self.rise_s, cap.max_rise_ma_per_s, "current_ma / rise_s", "mA/s"),
-        )
-        for value, most, what, unit in checks:
-            if value > most:
-                raise ValueError(f"{what} is {value:.4g} {unit}, over this channel's limit of {most:.4g} {unit}")
+        for what, value, unit, most, _ in self._over_limits(self.current_ma, self.pulse_width_us):
+            raise ValueError(f"{what} is {value:.4g} {unit}, over this channel's limit of {most:.4g} {unit}")
         if self.number in self.never_with:
             raise ValueError(f"never_with names the channel itself ({self.number})")
         if self.start_phase == self.stop_phase:
@@ -215,20 +220,10 @@ class Channel(Settings):
         learns = tuning.method == "learning"
         current_ma = self.current_ma if learns else bounds.current_ma.high
         width_us = bounds.pulse_width_us.high if learns else self.pulse_width_us
-        area_cm2 = self.electrode_area_cm2
-        density = limits.current_density_ma_per_cm2(current_ma, width_us, self.frequency_hz, area_cm2)
-        checks = (
-            (current_ma, "max_current_ma", "mA"),
-            (width_us, "max_pulse_width_us", "µs"),
-            (limits.charge_per_phase_uc(current_ma, width_us), "max_charge_per_phase_uc", "µC"),
-            (density, "max_current_density_ma_per_cm2", "mA/cm² r.m.s."),
-            (current_ma / self.rise_s, "max_rise_ma_per_s", "mA/s"),
-        )
-        for value, name, unit in checks:
-            if value > (cap := getattr(self.limits, name)):
-                raise ValueError(
-                    f"tuning could reach {value:.4g} {unit}, over this channel's {name} = {cap:.4g}; lower its bounds"
-                )
+        for _, value, unit, most, name in self._over_limits(current_ma, width_us):
+            raise ValueError(
+                f"tuning could reach {value:.4g} {unit}, over this channel's {name} = {most:.4g}; lower its bounds"
+            )
         return self
 
     @model_serializer(mode="wrap")

@@ -4,6 +4,7 @@ What is connected: the bus, the sensors, the stimulator, a foot switch.
 """
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -28,15 +29,7 @@ IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "capture2go", "witmotion
 STIMULATORS: Final = ("can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen")
 
 
-def _imu_known(name: str) -> str:
-    return _known(name, IMUS, "sensor")
-
-
-def _stimulator_known(name: str) -> str:
-    return _known(name, STIMULATORS, "stimulator")
-
-
-def _known(name: str, own: tuple[str, ...], kind: str) -> str:
+def _known(name: str, *, own: tuple[str, ...], kind: str) -> str:
     """The name of a device of this program, or of one that an installed package brings (docs/extensions.md)."""
     if name in own:
         return name
@@ -64,7 +57,7 @@ class ImuDevice(Settings):
     """
 
     sensor: SensorName
-    device: Annotated[str, AfterValidator(_imu_known)]
+    device: Annotated[str, AfterValidator(partial(_known, own=IMUS, kind="sensor"))]
     port: str = Field(default="bus", min_length=1)
     rate_hz: float = Field(gt=20, le=4000)
     acc_range_g: float = Field(gt=0, le=400)
@@ -75,7 +68,7 @@ class ImuDevice(Settings):
 class StimulatorDevice(Settings):
     """The stimulator; ``can`` is on the session's bus, the others have a serial ``port``."""
 
-    device: Annotated[str, AfterValidator(_stimulator_known)] = "can"
+    device: Annotated[str, AfterValidator(partial(_known, own=STIMULATORS, kind="stimulator"))] = "can"
     port: str = ""
     options: Options = Field(default_factory=dict)
 

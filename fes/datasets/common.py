@@ -113,7 +113,7 @@ def mat_file(path: Path, *needed: str) -> dict[str, Any]:
     except (OSError, ValueError, TypeError, LookupError, EOFError, OverflowError, MemoryError, NotImplementedError,
             MatReadError, struct.error, zlib.error) as error:  # fmt: skip
         raise ImportProblem(f"{path}: is no readable MATLAB file: {error}") from error
-    _need(path, found, needed)
+    need(path, found, needed)
     return found
 
 
@@ -127,11 +127,12 @@ def npz_file(path: Path, *needed: str) -> dict[str, FloatArray]:
             found = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, AttributeError, EOFError, BadZipFile) as error:
         raise ImportProblem(f"{path}: is no readable NumPy archive: {error}") from error
-    _need(path, found, needed)
+    need(path, found, needed)
     return found
 
 
-def _need(path: Path, found: Mapping[str, Any], needed: Iterable[str]) -> None:
+def need(path: Path, found: Mapping[str, Any], needed: Iterable[str]) -> None:
+    """Raise ImportProblem where one of these is not among what was found."""
     missing = [name for name in needed if name not in found]
     if missing:
         have = ", ".join(sorted(name for name in found if not name.startswith("__")))
@@ -232,6 +233,7 @@ _SETS: Final = (
         "dlaidig/broad",
         "CC BY 4.0 (name the authors)",
         ("*.hdf5", "*.mat"),
+        "walks.read_broad",
     ),
     DataSet(
         "xio",

@@ -1,31 +1,26 @@
-"""Public data sets of walks: MATLAB files, NumPy archives and CSV tables into recordings and references.
+"""Public data sets: MATLAB and HDF5 files, NumPy archives and CSV tables into recordings and references.
 
-PyShoe and ruler: walks of one foot at 200 Hz, z axis down, a MATLAB file each, of which every stride's length was
-measured. PyShoe: right instep, the marker's position by Vicon at every sample. Files are named by trial, or
-``processed_data.mat`` in a folder of that name. Single positions jump: where the marker would be faster than 8 m/s they
-are left empty.
+pyshoe: right instep at 200 Hz, z axis down, the marker's position by Vicon at every sample; a file by trial, or
+``processed_data.mat`` in a folder of that name. Where the marker would be faster than 8 m/s it is left empty.
 
-Ruler: ``SensorConnectData_N_LLIO.mat`` and the table of footprints beside it, with the sample at which the foot stood
-on each print. Which foot is not documented.
-
-Walks of hemiparetic and healthy people, NumPy archives with a ``meta`` of JSON: footswitch_treadmill, stroke_walks.
+ruler: one foot (which is not documented) at 200 Hz, ``SensorConnectData_N_LLIO.mat``; beside it the table of
+footprints, with the sample at which the foot stood on each.
 
 footswitch_treadmill, ``Hnn_k.npz`` and ``Pnn_k.npz``: one instep (side not told), labels by footswitches at every
-sample: 0 heel strike until flat, 1 flat foot, 2 heel off, 3 swing. The stamps are those of arrival: jittered, with
-stalls that are followed by bursts, and some real gaps. They stay as they are. Rows that no sensor can have measured
-(spikes) are left out. ``bad`` marks spikes and gaps; whatever phase has such a row is not ``judged``.
+sample: 0 heel strike until flat, 1 flat foot, 2 heel off, 3 swing. The stamps are those of arrival, with stalls that
+are followed by bursts, and some real gaps. Rows that no sensor can have measured (spikes) are left out. ``bad`` marks
+spikes and gaps; whatever phase has such a row is not ``judged``.
 
 stroke_walks, ``Snn.npz``: both feet, each by its own clock, which may go back near the end; ranges as its authors say.
 
-gaitmap's example data: ``imu_sample.csv`` with markers and events beside it, and walks on stairs without truth.
+gaitmap's example data: ``imu_sample.csv`` (deg/s; clipped at 16 g) with markers (mm, 100 Hz, from the first IMU sample
+on) and events (IMU samples) beside it, and walks on stairs without truth.
 
-Gyroscope in deg/s; the markers (mm, 100 Hz) begin with the first IMU sample; events are IMU samples. The accelerometer
-clips at 16 g at heel strike.
+xio: an NGIMU on a foot, nominally 400 Hz, g and deg/s, with irregular and partly doubled stamps; doubled rows are left
+out. The walk ends where it starts; there is no other truth.
 
-x-io's Gait-Tracking walks: a CSV of an NGIMU on a foot, nominally 400 Hz, g and deg/s.
-
-Stamps are irregular and partly doubled, with the same sample in both rows: doubled rows are left out, the stamps kept.
-The walk ends where it starts; there is no other truth.
+broad: a board moved by hand, 285.7 Hz, with optical orientation (w, x, y, z, sensor → east-north-up; empty where it was
+not seen) and position. Not gait: it is written as the sensor ``right_foot``, for a recording has no other names.
 """
 
 import csv
@@ -44,6 +39,7 @@ from fes.datasets.common import (
     checked,
     even_track,
     mat_file,
+    need,
     npz_file,
     plain_csv,
     stamped_track,
@@ -306,3 +302,51 @@ def read_xio(path: Path, foot: str | None = None) -> Imported:
     references = {".end.csv": (["foot", "end_distance_m", "end_height_m"], [(sensor, 0.0, 0.0)])}
     extra = {"closed_loop": True, "nominal_rate_hz": NOMINAL_HZ}
     return Imported(Recording(f"xio_{path.stem}", None, {sensor: track}, extra=extra), references, notes)
+
+
+BOARD: Final = ("imu_acc", "imu_gyr", "opt_quat", "opt_pos", "movement")
+
+
+def read_broad(path: Path, foot: str | None = None) -> Imported:
+    """Read one trial. Raises ImportProblem: it is no such file."""
+    arrays, rate_hz = broad_trial(path)
+    if not 1.0 <= rate_hz <= 10_000.0:
+        raise ImportProblem(f"{path}: its sampling_rate is {rate_hz:g} Hz, which no such sensor has")
+    acc, gyr, quaternion, place = (np.asarray(arrays[name], np.float64) for name in BOARD[:4])
+    moving = np.asarray(arrays["movement"]).ravel().astype(int)
+    checked(path, acc, gyr)
+    if quaternion.shape != (len(acc), 4) or place.shape != (len(acc), 3) or len(moving) != len(acc):
+        raise ImportProblem(f"{path}: optical data and samples differ in length")
+    sensor = f"{foot or 'right'}_foot"
+    names = ["t_s", "q_w", "q_x", "q_y", "q_z", "x_m", "y_m", "z_m", "moving"]
+    stamps = np.arange(len(acc)) / rate_hz
+    rows = np.column_stack([stamps, quaternion, place, moving]).tolist()
+    notes = (
+        f"a board moved by hand, not a foot: written as {sensor}; phases and strides of it mean nothing",
+        "the magnetometer is left out; orientation counts only while the board moves (column moving)",
+    )
+    track = even_track(sensor, rate_hz, acc, gyr)
+    recording = Recording(f"broad_{path.stem}", None, {sensor: track}, extra={"not_gait": True})
+    return Imported(recording, {".orientation.csv": (names, rows)}, notes)
+
+
+def broad_trial(path: Path) -> tuple[dict[str, Any], float]:
+    """The arrays of a trial, in HDF5 or MATLAB's form, and its rate (Hz).
+
+    ImportProblem: it cannot be read, lacks something, or h5py is not installed.
+    """
+    if path.suffix.lower() == ".mat":
+        arrays = mat_file(path, *BOARD, "sampling_rate")
+        return arrays, float(np.asarray(arrays["sampling_rate"]).ravel()[0])
+    try:
+        import h5py
+    except ImportError as error:
+        raise ImportProblem(f"{path}: reading HDF5 needs h5py: pip install 'fes-gait[apdm]'") from error
+    try:
+        with h5py.File(path, "r") as file:
+            arrays = {name: np.asarray(each) for name, each in file.items() if isinstance(each, h5py.Dataset)}
+            rate_hz = float(np.ravel(file.attrs["sampling_rate"])[0])
+    except (OSError, ValueError, TypeError, KeyError, IndexError, RuntimeError, MemoryError) as error:
+        raise ImportProblem(f"{path}: is no HDF5 file as BROAD has them: {error}") from error
+    need(path, arrays, BOARD)
+    return arrays, rate_hz

@@ -1,21 +1,19 @@
 """How well two ways of measuring agree: bias, limits of agreement, line and ICC(2,1) of pairs; means of two walks.
 
-Arrays in, numbers out. Limits of agreement: Bland & Altman (1986), Lancet 327:307–310; their standard error as in the
-1999 paper (Stat. Methods Med. Res. 8:135–160, section 2), of which the 1986 ``sqrt(3 s²/n)`` is the rounded form.
-ICC(2,1), that is two-way random effects, absolute agreement, single measurement: Shrout & Fleiss (1979), Psychological
-Bulletin 86:420–428; also McGraw & Wong (1996), Psychological Methods 1:30–46, ICC(A,1).
+Limits of agreement: Bland & Altman (1986), Lancet 327:307–310; their standard error as in the 1999 paper (Stat. Methods
+Med. Res. 8:135–160, section 2), of which the 1986 ``sqrt(3 s²/n)`` is the rounded form. ICC(2,1): Shrout & Fleiss
+(1979), Psychological Bulletin 86:420–428; McGraw & Wong (1996), Psychological Methods 1:30–46, ICC(A,1).
 
-Of two walks the means are compared, of unequal numbers of strides. Strides of one walk are like their neighbours, so
-that n of them say less of their mean than n independent values. The standard error of each mean is the larger of:
+Strides of one walk are like their neighbours, so that n of them say less of their mean than n independent values. The
+standard error of a mean is the larger of
 
-- the variance over the effective number of values ``n (1 - r)/(1 + r)`` of a first-order autoregressive process, r its
-  lag-one correlation with the bias of short series taken off (Zwiers & von Storch 1995, Journal of Climate 8:336–351);
+- the variance over the effective number ``n (1 - r)/(1 + r)`` of a first-order autoregressive process, r its lag-one
+  correlation without the bias of short series (Zwiers & von Storch 1995, Journal of Climate 8:336–351);
 - that of the means of eight stretches of successive strides (batch means; Schmeiser 1982, Operations Research
   30:556–568), which sees slower change as well.
 
-The two means are then held against each other as by Welch (1947), Biometrika 34:28–35: variances may differ, and the
-degrees of freedom are Satterthwaite's. The interval speaks of these two walks alone. How much a person walks
-differently from day to day, or with a sensor put on anew, no two walks can tell.
+Two means are held against each other as by Welch (1947), Biometrika 34:28–35, with Satterthwaite's degrees of freedom.
+The interval speaks of these two walks alone, not of how a person walks from day to day.
 """
 
 import math

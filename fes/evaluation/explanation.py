@@ -5,14 +5,15 @@ what is told is the state of the parts that decided.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from fes.config import PHASE_ORDER, Channel, Session
 from fes.control.runner import Runner
 from fes.evaluation.log_comparison import ReplayOutput
+from fes.evaluation.timing.marks import bursts_of
 from fes.live.status import with_remedy
-from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
+from fes.signals import NS_PER_S, Event, ImuSample
 from fes.stimulation.envelope import difference
 from fes.walk_record import Note
 from statemachine.guards import Features, Thresholds
@@ -134,14 +135,13 @@ def explain(
     """
     controller = runner.controller
     foot_of = {tracker.foot: foot for foot, tracker in controller.trackers.items()}
-    seen: dict[str, _Seen] = {}
-    entered: dict[str, tuple[PhaseChange, str]] = {}  # the newest change of each foot, and what its judge said then
+    moment = _Moment(runner, now, session, list(notes), origin_ns, at_ns)
     trace: dict[str, list[tuple[float, float, int]]] = {foot: [] for foot in controller.trackers}
     found: Explanation | None = None
     changes = 0
     for event in events:
         if event.t_ns > at_ns and found is None:
-            found = _then(runner, now, session, notes, origin_ns, at_ns, seen, entered)
+            found = moment.explanation()
         if event.t_ns > at_ns + AROUND_NS:
             break
         foot = foot_of.get(event.sensor, "") if isinstance(event, ImuSample) else ""
@@ -151,160 +151,148 @@ def explain(
         fired = ""
         for change in now.phases[changes:]:
             who = foot_of[change.foot]
-            entered[who] = change, controller.judge(who).describe()
+            moment.entered[who] = change, controller.judge(who).describe()
             fired = change.transition.name
         changes = len(now.phases)
         if near:
             saw, limits = controller.trackers[foot].seen()
             if event.t_ns >= at_ns - AROUND_NS:
-                at_s = (event.t_ns - origin_ns) / NS_PER_S
-                trace[foot].append((at_s, saw.toe_down_radps, int(controller.phase(foot))))
+                trace[foot].append((moment.seconds(event.t_ns), saw.toe_down_radps, int(controller.phase(foot))))
             if found is None:
-                seen[foot] = _Seen(event.t_ns, before, saw, limits, fired)
-    if found is None:
-        found = _then(runner, now, session, notes, origin_ns, at_ns, seen, entered)
+                moment.seen[foot] = _Seen(event.t_ns, before, saw, limits, fired)
+    found = found or moment.explanation()
     found.trace.update(trace)
-    found.bursts.extend(_bursts(now.commands, origin_ns, at_ns))
+    for number, spans in bursts_of((command.t_ns, command) for command in now.commands).items():
+        near_spans = [span for span in spans if span[1] > at_ns - AROUND_NS]
+        found.bursts.extend((number, moment.seconds(begin), moment.seconds(end)) for begin, end in near_spans)
     return found
 
 
-def _then(
-    runner: Runner, now: ReplayOutput, session: Session, notes: Iterable[Note], origin_ns: int, at_ns: int,
-    seen: dict[str, _Seen], entered: dict[str, tuple[PhaseChange, str]],
-) -> Explanation:  # fmt: skip
-    if not runner.t_ns:
-        raise ValueError("nothing had happened by then")
+@dataclass
+class _Moment:
+    """The session's parts as they stand at ``at_ns``; ``entered``: by foot, its newest change, and what its judge said.
 
-    def seconds(t_ns: int) -> float:
-        return (t_ns - origin_ns) / NS_PER_S
+    Times are told in s since ``origin_ns``.
+    """
 
-    controller = runner.controller
-    feet = []
-    for foot, saw in seen.items():
-        at = [c.t_ns for c in now.phases if c.foot == controller.trackers[foot].foot and c.t_ns < saw.sample_ns]
-        since_s = seconds(at[-1]) if at else float("nan")
-        where = foot, controller.trackers[foot].foot, seconds(saw.sample_ns), saw.before.name.lower(), since_s
-        feet.append(FootThen(*where, saw.fired, saw.guards(), saw.thresholds, controller.judge(foot).describe()))
-    channels = tuple(_channel(runner, now.commands, channel, entered, origin_ns, at_ns) for channel in session.channels)
-    tuning = tuple(
-        _tuned(channel, runner, list(notes), origin_ns, at_ns)
-        for channel in session.channels
-        if channel.number in controller.tuning.tuners
-    )
-    return Explanation(seconds(at_ns), tuple(feet), channels, tuning, _gate(runner, origin_ns), {}, [])
+    runner: Runner
+    now: ReplayOutput
+    session: Session
+    notes: list[Note]
+    origin_ns: int
+    at_ns: int
+    seen: dict[str, _Seen] = field(default_factory=dict)
+    entered: dict[str, tuple[PhaseChange, str]] = field(default_factory=dict)
 
+    def seconds(self, t_ns: float) -> float:
+        return (t_ns - self.origin_ns) / NS_PER_S
 
-def _gate(runner: Runner, origin_ns: int) -> str:
-    gate = runner.gate
-    if gate.latched:
-        since = "" if gate.latched_ns is None else f" since {(gate.latched_ns - origin_ns) / NS_PER_S:.3f} s"
-        told = with_remedy(f"The gate was latched{since}: {gate.latched}")
-        again = f" Arming again was refused: {gate.arming_refused}" if gate.arming_refused else ""
-        return told + (with_remedy(again) if again else "")
-    if gate.armed:
-        return "The gate was armed."
-    return with_remedy(f"The gate was not armed{f': {gate.arming_refused}' if gate.arming_refused else ''}")
+    def explanation(self) -> Explanation:
+        """How things stand."""
+        if not self.runner.t_ns:
+            raise ValueError("nothing had happened by then")
+        channels = tuple(map(self._channel, self.session.channels))
+        tuners = self.runner.controller.tuning.tuners
+        tuning = tuple(self._tuned(channel) for channel in self.session.channels if channel.number in tuners)
+        feet = tuple(self._foot(foot, saw) for foot, saw in self.seen.items())
+        return Explanation(self.seconds(self.at_ns), feet, channels, tuning, self._gate(), {}, [])
 
+    def _foot(self, foot: str, saw: _Seen) -> FootThen:
+        controller = self.runner.controller
+        sensor = controller.trackers[foot].foot
+        at = [change.t_ns for change in self.now.phases if change.foot == sensor and change.t_ns < saw.sample_ns]
+        since_s = self.seconds(at[-1]) if at else float("nan")
+        where = foot, sensor, self.seconds(saw.sample_ns), saw.before.name.lower(), since_s
+        return FootThen(*where, saw.fired, saw.guards(), saw.thresholds, controller.judge(foot).describe())
 
-def _channel(
-    runner: Runner, commands: list[StimCommand], channel: Channel, entered: dict[str, tuple[PhaseChange, str]],
-    origin_ns: int, at_ns: int,
-) -> ChannelThen:  # fmt: skip
-    own = [command for command in commands if command.channel == channel.number and command.t_ns <= at_ns]
-    last = own[-1] if own else None
-    refused = next((each for each in reversed(own) if each.refused and each.t_ns > at_ns - LATELY_NS), None)
+    def _gate(self) -> str:
+        gate = self.runner.gate
+        if gate.latched:
+            since = "" if gate.latched_ns is None else f" since {self.seconds(gate.latched_ns):.3f} s"
+            told = with_remedy(f"The gate was latched{since}: {gate.latched}")
+            again = f" Arming again was refused: {gate.arming_refused}" if gate.arming_refused else ""
+            return told + (with_remedy(again) if again else "")
+        if gate.armed:
+            return "The gate was armed."
+        return with_remedy(f"The gate was not armed{f': {gate.arming_refused}' if gate.arming_refused else ''}")
 
-    def made(on: bool, how: str) -> ChannelThen:
-        lately = f" Refused at {(refused.t_ns - origin_ns) / NS_PER_S:.3f} s: {refused.refused}." if refused else ""
-        ma = last.current_ma if last and on else 0.0
-        text = f"{channel.name}: {how}" + (lately if refused is not None and refused is not last else "")
-        text += _foreseen(runner, channel, origin_ns)
-        return ChannelThen(channel.number, channel.name, on, ma, refused.refused if refused else "", text)
+    def _channel(self, channel: Channel) -> ChannelThen:
+        commands = self.now.commands
+        own = [command for command in commands if command.channel == channel.number and command.t_ns <= self.at_ns]
+        last = own[-1] if own else None
+        refused = next((each for each in reversed(own) if each.refused and each.t_ns > self.at_ns - LATELY_NS), None)
 
-    if last is not None and last.on and at_ns - last.t_ns <= last.validity_ms * 1_000_000:
-        begun = last.t_ns
-        for command in reversed(own):
-            if not command.on:
-                break
-            begun = command.t_ns
-        return made(True, f"on with {last.current_ma:.1f} mA, since {(begun - origin_ns) / NS_PER_S:.3f} s.")
-    if last is not None and last.refused:
-        return made(False, with_remedy(f"off, the gate refused it: {last.refused}"))
-    return made(False, f"off, {_not_asked(runner, channel, entered, origin_ns)}.")
+        def made(on: bool, how: str) -> ChannelThen:
+            lately = f" Refused at {self.seconds(refused.t_ns):.3f} s: {refused.refused}." if refused else ""
+            ma = last.current_ma if last and on else 0.0
+            text = f"{channel.name}: {how}" + (lately if refused is not None and refused is not last else "")
+            text += self._foreseen(channel)
+            return ChannelThen(channel.number, channel.name, on, ma, refused.refused if refused else "", text)
 
+        if last is not None and last.on and self.at_ns - last.t_ns <= last.validity_ms * 1_000_000:
+            begun = last.t_ns
+            for command in reversed(own):
+                if not command.on:
+                    break
+                begun = command.t_ns
+            return made(True, f"on with {last.current_ma:.1f} mA, since {self.seconds(begun):.3f} s.")
+        if last is not None and last.refused:
+            return made(False, with_remedy(f"off, the gate refused it: {last.refused}"))
+        return made(False, f"off, {self._not_asked(channel)}.")
 
-def _foreseen(runner: Runner, channel: Channel, origin_ns: int) -> str:
-    """Of a channel whose onset is to be predicted, whether it is, what was expected of this stride and what came."""
-    onset = runner.controller.onsets.get(str(channel.foot))
-    if onset is None or channel.onset != "predicted":
-        return ""
+    def _foreseen(self, channel: Channel) -> str:
+        """Of a channel with a predicted onset: whether it is predicted, what was expected of the stride, what came."""
+        onset = self.runner.controller.onsets.get(str(channel.foot))
+        if onset is None or channel.onset != "predicted":
+            return ""
 
-    def seconds(t_ns: float | None) -> str:
-        return f"at {((t_ns or 0) - origin_ns) / NS_PER_S:.3f} s"
+        def when(t_ns: float | None) -> str:
+            return f"at {self.seconds(t_ns or 0):.3f} s"
 
-    text = f" Its {onset.describe()}."
-    if onset.expected_ns is not None:
-        text += f" The heel was expected to rise {seconds(onset.expected_ns)}"
-        text += f"; the burst was asked for early, {seconds(onset.began_ns)}" if onset.used else ""
-        text += f"; it rose {seconds(onset.came_ns)}." if onset.came_ns is not None else "."
-    return text
+        text = f" Its {onset.describe()}."
+        if onset.expected_ns is not None:
+            text += f" The heel was expected to rise {when(onset.expected_ns)}"
+            text += f"; the burst was asked for early, {when(onset.began_ns)}" if onset.used else ""
+            text += f"; it rose {when(onset.came_ns)}." if onset.came_ns is not None else "."
+        return text
 
+    def _not_asked(self, channel: Channel) -> str:
+        """Why nothing was asked of the gate."""
+        foot, controller = str(channel.foot), self.runner.controller
+        name = foot.replace("_", " ")
+        if foot not in controller.trackers:
+            return f"for no sensor tells the phases of the {name}"
+        phase = controller.phase(foot).name.lower()
+        at = PHASE_ORDER.index(channel.start_phase)
+        count = (PHASE_ORDER.index(channel.stop_phase) - at) % len(PHASE_ORDER) + 1
+        asked_in = [PHASE_ORDER[(at + step) % len(PHASE_ORDER)] for step in range(count)]
+        if phase not in asked_in:
+            window = f"{_words(channel.start_phase)} … {_words(channel.stop_phase)}"
+            return f"for the {name} was in {_words(phase)}; it is stimulated in {window}"
+        if controller.intensity <= 0.0:
+            return "for the intensity was 0"
+        change, said = self.entered.get(foot, (None, ""))
+        if change is not None and not said.startswith("walks"):
+            where = f"when {_words(change.destination.name.lower())} began at {self.seconds(change.t_ns):.3f} s"
+            return f"for {where} the {name} was {said}"
+        return "for its burst had not begun yet, was over, or was not permitted when the phase began"
 
-def _not_asked(runner: Runner, channel: Channel, entered: dict[str, tuple[PhaseChange, str]], origin_ns: int) -> str:
-    """Why nothing was asked of the gate."""
-    foot, controller = str(channel.foot), runner.controller
-    name = foot.replace("_", " ")
-    if foot not in controller.trackers:
-        return f"for no sensor tells the phases of the {name}"
-    phase = controller.phase(foot).name.lower()
-    at = PHASE_ORDER.index(channel.start_phase)
-    count = (PHASE_ORDER.index(channel.stop_phase) - at) % len(PHASE_ORDER) + 1
-    asked_in = [PHASE_ORDER[(at + step) % len(PHASE_ORDER)] for step in range(count)]
-    if phase not in asked_in:
-        window = f"{_words(channel.start_phase)} … {_words(channel.stop_phase)}"
-        return f"for the {name} was in {_words(phase)}; it is stimulated in {window}"
-    if controller.intensity <= 0.0:
-        return "for the intensity was 0"
-    change, said = entered.get(foot, (None, ""))
-    if change is not None and not said.startswith("walks"):
-        where = f"when {_words(change.destination.name.lower())} began at {(change.t_ns - origin_ns) / NS_PER_S:.3f} s"
-        return f"for {where} the {name} was {said}"
-    return "for its burst had not begun yet, was over, or was not permitted when the phase began"
-
-
-def _tuned(channel: Channel, runner: Runner, notes: list[Note], origin_ns: int, at_ns: int) -> TuningThen:
-    tuner, mark = runner.controller.tuning.tuners[channel.number], f"channel {channel.number}: "
-    own = [n for n in notes if n.source == "tuning" and n.t_ns <= at_ns and n.text.startswith(mark)]
-    texts = [((note.t_ns - origin_ns) / NS_PER_S, note.text.removeprefix(mark)) for note in own]
-    changes = tuple((t_s, text) for t_s, text in texts if " → " in text and not text.startswith("suggested"))
-    went = difference(tuner.start, tuner.parameters)
-    words = f"{channel.name}: tuning had changed nothing"
-    if went:
-        words = f"{channel.name}: tuning had gone from the session's settings to {went} in {len(changes)} changes"
-        words += f", the last at {changes[-1][0]:.1f} s: {changes[-1][1]}" if changes else ""
-    if tuner.frozen:
-        words += f"; frozen: {tuner.frozen}"
-    skipped = next(((t_s, text) for t_s, text in reversed(texts) if " skipped: " in text), None)
-    if skipped is not None and (not changes or skipped[0] > changes[-1][0]):
-        words += f"; {skipped[1]}"
-    return TuningThen(channel.number, channel.name, f"{words}.", changes)
-
-
-def _bursts(commands: list[StimCommand], origin_ns: int, at_ns: int) -> list[tuple[int, float, float]]:
-    """Where a channel was on about the instant."""
-    spans: list[tuple[int, float, float]] = []
-    since: dict[int, int] = {}
-    for command in commands:
-        if command.on:
-            since.setdefault(command.channel, command.t_ns)
-        elif command.channel in since:
-            begin_ns = since.pop(command.channel)
-            if command.t_ns > at_ns - AROUND_NS:
-                spans.append(
-                    (command.channel, (begin_ns - origin_ns) / NS_PER_S, (command.t_ns - origin_ns) / NS_PER_S)
-                )
-    last_ns = commands[-1].t_ns if commands else at_ns
-    return spans + [(n, (t - origin_ns) / NS_PER_S, (last_ns - origin_ns) / NS_PER_S) for n, t in since.items()]
+    def _tuned(self, channel: Channel) -> TuningThen:
+        tuner, mark = self.runner.controller.tuning.tuners[channel.number], f"channel {channel.number}: "
+        own = [n for n in self.notes if n.source == "tuning" and n.t_ns <= self.at_ns and n.text.startswith(mark)]
+        texts = [(self.seconds(note.t_ns), note.text.removeprefix(mark)) for note in own]
+        changes = tuple((t_s, text) for t_s, text in texts if " → " in text and not text.startswith("suggested"))
+        went = difference(tuner.start, tuner.parameters)
+        words = f"{channel.name}: tuning had changed nothing"
+        if went:
+            words = f"{channel.name}: tuning had gone from the session's settings to {went} in {len(changes)} changes"
+            words += f", the last at {changes[-1][0]:.1f} s: {changes[-1][1]}" if changes else ""
+        if tuner.frozen:
+            words += f"; frozen: {tuner.frozen}"
+        skipped = next(((t_s, text) for t_s, text in reversed(texts) if " skipped: " in text), None)
+        if skipped is not None and (not changes or skipped[0] > changes[-1][0]):
+            words += f"; {skipped[1]}"
+        return TuningThen(channel.number, channel.name, f"{words}.", changes)
 
 
 def _words(phase: str) -> str:

@@ -28,6 +28,7 @@ class ReplayOutput:
         self.frames: list[WireFrame] = []
         self.phases: list[PhaseChange] = []
         self.strides: list[StrideResult] = []
+        self.latencies_ns: list[int] = []
 
     def event(self, event: Event) -> None:
         """Known already."""
@@ -49,7 +50,8 @@ class ReplayOutput:
         """Known already."""
 
     def latency(self, t_ns: int, latency_ns: int) -> None:
-        """Another machine's business."""
+        """Keep it."""
+        self.latencies_ns.append(latency_ns)
 
 
 def first_difference(record: SessionRecord, frames: Sequence[WireFrame] | None, now: ReplayOutput, end_ns: int) -> str:

@@ -110,7 +110,7 @@ def recording_from_arrays(
     sidecar = Sidecar.model_validate({"time_unit": "ns", "rate_hz": rate_hz, "sensors": sensors})
     path = Path(name)
     raw: dict[str, RawTrack] = {
-        each: raw_track(_table(path, each, given[each]), sidecar, each) for each in sidecar.sensors
+        each: raw_track(_table(path, each, given[each]), each, sidecar.columns_of(each)) for each in sidecar.sensors
     }
     return Recording(name, None, tracks_of(path, sidecar, raw), belt_speed_mps, geometry=dict(geometry or {}))
 
@@ -243,7 +243,7 @@ def _table(path: Path, sensor: str, given: _Given) -> Table:
     values = np.hstack((given.acc, given.gyr))
     names = [name for own in _names(sensor).values() for name in own]
     columns = {name: pa.array(axis, mask=np.isnan(axis)) for name, axis in zip(names, values.T, strict=True)}
-    return Table.of_columns(path, pa.table(columns if given.t_ns is None else {**columns, "time": given.t_ns}))
+    return Table(path, pa.table(columns if given.t_ns is None else {**columns, "time": given.t_ns}))
 
 
 def _numbers(where: str, argument: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:

@@ -1,18 +1,14 @@
-"""A long recording chunk by chunk, so that memory does not grow with it; a short one is a single chunk.
-
-Memory that numpy frees stays with the process: the next array of that size costs no page faults.
-
-The C library gives large arrays back to the system at once and asks for them anew, page by page, zeroed: on a recording
-of ten minutes that is a tenth of the analysis. For processes that analyse; nothing else changes.
-"""
+"""A long recording chunk by chunk, so that memory does not grow with it; several sensors at once."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,18 +16,35 @@ from fes.recording.read import follow_recording
 from fes.recording.tracks import PER_SAMPLE, Recording, Track
 from fes.signals import NS_PER_S, IntArray
 
+Made = TypeVar("Made")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of mallopt(3)
 _LARGEST_BYTES = 32 << 20  # the C library takes no more; larger arrays go back as before
 _KEPT_BYTES = 256 << 20
 
 
 def keep_freed_memory() -> bool:
-    """Keep up to a quarter of a gigabyte that is free; False where the C library has no such setting (not glibc)."""
+    """Keep up to a quarter of a gigabyte that is free; False where the C library has no such setting (not glibc).
+
+    The C library gives large arrays back to the system at once and asks for them anew, page by page, zeroed: on a
+    recording of ten minutes that is a tenth of the analysis. For processes that analyse; nothing else changes.
+    """
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError, TypeError):  # TypeError: Windows has no library of that name
         return False
     return bool(mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES) and mallopt(_TRIM_THRESHOLD, _KEPT_BYTES))
+
+
+def at_once(work: Callable[[str], Made], sensors: Iterable[str]) -> dict[str, Made]:
+    """What ``work`` makes of each sensor, by their names and in their order; the first that fails raises its error.
+
+    In threads: compiled code and numpy hold no lock of Python's meanwhile.
+    """
+    names = list(sensors)
+    if len(names) < 2 or parent_process() is not None:  # one of several processes, which share the processors already
+        return {name: work(name) for name in names}
+    with ThreadPoolExecutor() as threads:
+        return dict(zip(names, threads.map(work, names), strict=True))
 
 
 WHOLE_S = 1800.0  # a recording that is no longer is one chunk, …

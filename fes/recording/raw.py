@@ -10,7 +10,7 @@ import numpy.typing as npt
 from fes.estimation.numerics.ranks import median
 from fes.recording.csv_layout import Dialect
 from fes.recording.several_files import joined_table
-from fes.recording.sidecar import Sensor, Sidecar
+from fes.recording.sidecar import Sensor, SensorColumns, Sidecar
 from fes.recording.table import Table, greatest_size
 from fes.recording.tracks import RecordingError, TrackQuality
 from fes.recording.units import (
@@ -143,11 +143,11 @@ def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, Ra
         source = path.with_name(file) if file else path
         whole = [sensor for sensor in sensors if not sidecar.sensors[sensor].gyr_file]
         if whole:
-            table = Table(source, *_columns(sidecar_path, sidecar, whole))
-            raw |= {sensor: raw_track(table, sidecar, sensor) for sensor in whole}
+            table = Table.read(source, *_columns(sidecar_path, sidecar, whole))
+            raw |= {sensor: raw_track(table, sensor, sidecar.columns_of(sensor)) for sensor in whole}
         for sensor in (sensor for sensor in sensors if sensor not in whole):
-            table, described, count = joined_table(source, sidecar, sensor)
-            raw[sensor] = replace(raw_track(table, described, sensor), repaired=count)
+            table, columns, count = joined_table(source, sensor, sidecar.columns_of(sensor), sidecar.dialect)
+            raw[sensor] = replace(raw_track(table, sensor, columns), repaired=count)
     return _in_one_turn(raw, sidecar)
 
 
@@ -155,11 +155,11 @@ def _in_one_turn(raw: dict[str, RawTrack], sidecar: Sidecar) -> dict[str, RawTra
     """Counters that wrapped a different number of times before their tracks begin, brought next to the first's."""
     first_ns: int | None = None
     for sensor in sidecar.sensors:
-        track, wraps_at = raw[sensor], sidecar.wraps_at_of(sensor)
-        if wraps_at is None or not track.t_sensor_ns.size:
+        track, columns = raw[sensor], sidecar.columns_of(sensor)
+        if columns.time_wraps_at is None or not track.t_sensor_ns.size:
             continue
         first_ns = int(track.t_sensor_ns[0]) if first_ns is None else first_ns
-        turn_ns = wraps_at * time_factor_ns(sidecar.time_unit_of(sensor), sidecar.rate_of(sensor))
+        turn_ns = columns.time_wraps_at * columns.unit_ns
         off_ns = round(round((first_ns - int(track.t_sensor_ns[0])) / turn_ns) * turn_ns)
         if off_ns:
             raw[sensor] = replace(track, t_sensor_ns=track.t_sensor_ns + off_ns, stamps_ns=track.stamps_ns + off_ns)
@@ -173,11 +173,11 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
         RecordingError: as there.
     """
     sensors = list(sidecar.sensors)
-    wanted, _, dialect = _columns(sidecar_path, sidecar, sensors)
-    for table in Table.parts(path, wanted, rows, dialect):
+    wanted, _, _ = _columns(sidecar_path, sidecar, sensors)
+    for table in Table.parts(path, wanted, rows):
         found: dict[str, RawTrack] = {}
         for sensor in sensors:
-            raw = raw_track(table, sidecar, sensor, silent=True)
+            raw = raw_track(table, sensor, sidecar.columns_of(sensor), silent=True)
             if raw.t_sensor_ns.size:
                 found[sensor] = raw
         del table, raw  # who clears what is yielded lets go of the file's columns too
@@ -186,10 +186,9 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
 
 def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tuple[list[str], list[str], Dialect]:
     """Which columns to read, which of them are times, and how the text is laid out."""
-    described = [sidecar.sensors[sensor] for sensor in sensors]
+    described = [sidecar.columns_of(sensor) for sensor in sensors]
     values = [name for columns in described for name in (*columns.acc, *columns.gyr)]
-    times = [sidecar.time_of(sensor) for sensor in sensors]
-    times += [columns.arrival_column for columns in described]
+    times = [columns.time_column for columns in described] + [columns.arrival_column for columns in described]
     time_names = list(dict.fromkeys(name for name in times if name))
     confused = [name for name in time_names if name in values]
     if confused:
@@ -197,13 +196,14 @@ def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tup
     return time_names + values, time_names, sidecar.dialect
 
 
-def raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool = False) -> RawTrack:
-    """A sensor's rows of a table; ``silent``: it may be that all of its cells are empty.
+def raw_track(table: Table, sensor: str, columns: SensorColumns, *, silent: bool = False) -> RawTrack:
+    """A sensor's rows of a table, by its columns as :meth:`Sidecar.columns_of` gives them.
+
+    ``silent``: it may be that all of its cells are empty.
 
     Raises:
         RecordingError: as of :func:`read_table`.
     """
-    columns = sidecar.sensors[sensor]
     names = (*columns.acc, *columns.gyr)
     where = f"{table.path}: {sensor}"
     (acc, acc_size), (gyr, gyr_size) = table.vectors(columns.acc), table.vectors(columns.gyr)
@@ -215,15 +215,13 @@ def raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool = 
         greatest = greatest_size(acc), greatest_size(gyr)
     if max(greatest) >= LARGEST_VALUE:
         _check_finite(table, data, names, dropped)
-    time_name = sidecar.time_of(sensor)
+    time_name = columns.time_column
     table.check_stream((*names, time_name or names[0]), where)
     empty = None
     if time_name is None:
-        rate_hz = sidecar.rate_of(sensor)
-        stamps = stamps_from_rate(table.rows, rate_hz or 1.0, table.first)
+        stamps = stamps_from_rate(table.rows, columns.rate_hz or 1.0, table.first)
     else:
-        unit_ns = time_factor_ns(sidecar.time_unit_of(sensor), sidecar.rate_of(sensor))
-        stamps = table.times_ns(time_name, unit_ns, sidecar.wraps_at_of(sensor))
+        stamps = table.times_ns(time_name, columns.unit_ns, columns.time_wraps_at)
         empty = table.empty(time_name)
         unused = empty if empty is None or dropped is None else empty & ~dropped
         untimed = [] if unused is None else np.flatnonzero(unused).tolist()
@@ -234,7 +232,7 @@ def raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool = 
             )
     arrival = None
     if columns.arrival_column:
-        arrival = table.times_ns(columns.arrival_column, time_factor_ns(sidecar.time_unit_of(sensor), None))
+        arrival = table.times_ns(columns.arrival_column, columns.unit_ns)
     place: Callable[[int], str] = table.place
     if empty is None:
         stamped, count = repaired(stamps)

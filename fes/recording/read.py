@@ -11,18 +11,10 @@ from fes.estimation.numerics.ranks import median
 from fes.recording.can_log import CAN_SUFFIXES, read_can_log
 from fes.recording.containers import container_of
 from fes.recording.csv_layout import has_rows
-from fes.recording.raw import (
-    MIN_DURATION_S,
-    RATE_TOLERANCE,
-    RawTrack,
-    judge_stamps,
-    late_block,
-    read_parts,
-    read_table,
-)
+from fes.recording.raw import MIN_DURATION_S, RATE_TOLERANCE, RawTrack, judge_stamps, late_block, read_parts, read_table
 from fes.recording.several_files import is_zip
-from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
-from fes.recording.table import TABLE_SUFFIXES, Table, is_parquet
+from fes.recording.sidecar import SensorColumns, Sidecar, load_sidecar
+from fes.recording.table import TABLE_SUFFIXES, is_parquet, parquet_rows
 from fes.recording.template import sidecar_template
 from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, SidecarMissingError, Track, TrackQuality
 from fes.recording.units import check_units
@@ -77,14 +69,14 @@ def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterato
 
 def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, whole_s: float) -> int:
     """How many rows make a part; 0 where all is one, or has to be read at once."""
-    columns = sidecar.sensors.values()
+    columns = [sidecar.columns_of(sensor) for sensor in sidecar.sensors]
     if not is_parquet(path) or sidecar.can is not None or any(each.file or each.gyr_file for each in columns):
         return 0
-    if len({(sidecar.time_of(sensor), sidecar.time_unit_of(sensor)) for sensor in sidecar.sensors}) > 1:
+    if len({(each.time_column, each.time_unit) for each in columns}) > 1:
         return 0
-    if any(sidecar.wraps_at_of(sensor) for sensor in sidecar.sensors):  # how often it has wrapped, only the whole tells
+    if any(each.time_wraps_at for each in columns):  # how often it has wrapped, only the whole tells
         return 0
-    rows = Table.parquet_rows(path)
+    rows = parquet_rows(path)
     if rows <= FIRST_ROWS:
         return 0
     first_rows = next(read_parts(path, sidecar_path, sidecar, FIRST_ROWS), {})
@@ -137,9 +129,13 @@ def tracks_of(
         RecordingError: as of :func:`read_recording`.
     """
     before = before or {}
-    ordered = [sensor for sensor in SENSORS + UNLABELLED_FEET if sensor in raw]
+    described = {str(sensor): sidecar.columns_of(sensor) for sensor in sidecar.sensors}
     judged: Judged = {}
-    tracks = {sensor: _track(path, sidecar, sensor, raw[sensor], judged, before.get(sensor)) for sensor in ordered}
+    tracks = {
+        sensor: _track(path, sensor, described[sensor], raw[sensor], judged, before.get(sensor))
+        for sensor in SENSORS + UNLABELLED_FEET
+        if sensor in raw
+    }
     if tracks:  # sensors with own clocks must share an origin, or one foot would walk after the other
         last_start = max(tracks.values(), key=lambda track: int(track.t_ns[0]))
         first_end = min(tracks.values(), key=lambda track: int(track.t_ns[-1]))
@@ -165,31 +161,31 @@ def _recording(path: Path, sidecar: Sidecar, tracks: dict[str, Track]) -> Record
     )
 
 
-def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Judged, before: Track | None) -> Track:
+def _track(
+    path: Path, sensor: str, columns: SensorColumns, raw: RawTrack, judged: Judged, before: Track | None
+) -> Track:
     """``judged``: what was found of the sensors before; feet often share stamps and rate."""
-    name: Sensor = next(key for key in sidecar.sensors if key == sensor)
-    columns = sidecar.sensors[name]
     where = f"{path.with_name(columns.file) if columns.file else path}: {sensor}"
     raw, late = _without_late_block(raw)
     stamps_ns, place = raw.stamps_ns, raw.place
     if before is not None:
         stamps_ns = np.append(before.t_sensor_ns, stamps_ns)
         place = lambda index: raw.place(max(index - 1, 0))  # noqa: E731
-    same = id(stamps_ns), sidecar.rate_of(name)
-    if before is not None or late:  # stamps of its own, which live no longer than this
-        rate_hz, found = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
+    same = id(stamps_ns), columns.rate_hz
+    if before is not None or late or same not in judged:
+        rate_hz, found = judge_stamps(stamps_ns, columns.rate_hz, where, place, columns.time_unit or "s")
+        if before is None and not late:  # else the stamps are of its own, and live no longer than this
+            judged[same] = rate_hz, found
     else:
-        if same not in judged:
-            judged[same] = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
         rate_hz, found = judged[same]
     newest_ns = np.maximum.accumulate(raw.t_sensor_ns) if found.backward else raw.t_sensor_ns
     oldest_ns = raw.t_sensor_ns.min() if found.backward else raw.t_sensor_ns[0]
     span_s = float(newest_ns[-1] - oldest_ns) * 1e-9
     if span_s + 1.0 / rate_hz < MIN_DURATION_S:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
-    factors = sidecar.factors_of(name)
     if before is None:  # a quarter of an hour on a bicycle has no instant at which a foot feels gravity alone
-        check_units(where, raw.acc, raw.gyr, rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name))
+        check_units(where, raw.acc, raw.gyr, rate_hz, columns.acc_unit or "m/s^2", columns.gyr_unit or "rad/s")
+    factors = columns.factors
     acc, gyr = (values if by == 1.0 else values * by for values, by in zip((raw.acc, raw.gyr), factors, strict=True))
     clipped = np.zeros(len(acc), bool)
     ranges = columns.acc_range, columns.gyr_range

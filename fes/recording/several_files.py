@@ -26,11 +26,12 @@ from typing import Final
 
 import numpy as np
 
+from fes.recording.csv_layout import Dialect
 from fes.recording.naming import plain
-from fes.recording.sidecar import Sensor, Sidecar
+from fes.recording.sidecar import SensorColumns
 from fes.recording.table import Table
 from fes.recording.tracks import RecordingError
-from fes.recording.units import GAP_INTERVALS, refuse_wild_clock, repaired, time_factor_ns, usual_interval_ns
+from fes.recording.units import GAP_INTERVALS, refuse_wild_clock, repaired, usual_interval_ns
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 MOST_BYTES: Final = 2 << 30  # unpacked: a day at 200 Hz makes 1.6 GB in each of Sensor Logger's files
@@ -209,27 +210,30 @@ class _Triad:
     repaired: int
 
 
-def joined_table(source: Path, sidecar: Sidecar, sensor: Sensor) -> tuple[Table, Sidecar, int]:
+def joined_table(
+    source: Path, sensor: str, columns: SensorColumns, dialect: Dialect
+) -> tuple[Table, SensorColumns, int]:
     """Make one table of a sensor's files, on the faster triad's clock; what is lost of either is an empty row.
 
     The values of the other are interpolated between neighbours that follow each other; a gap stays one.
 
     Returns:
-        The table, the sidecar that describes it, and how many stamps were repaired.
+        The table, the columns that it has of the sensor, and how many stamps were repaired.
 
     Raises:
         RecordingError: a file is missing or damaged, or their times do not overlap.
     """
     import pyarrow as pa
 
-    columns = sidecar.sensors[sensor]
     with opened(source) as (folder, _):
-        acc_path = folder / (columns.acc_file or source.name)
-        time, gyr_time = sidecar.time_of(sensor), columns.gyr_time_column or sidecar.time_of(sensor)
-        acc = _triad(acc_path, columns.acc, time, sidecar, sensor)
-        gyr = _triad(folder / (columns.gyr_file or ""), columns.gyr, gyr_time, sidecar, sensor)
+
+        def triad(name: str | None, names: tuple[str, ...], time: str | None = None) -> _Triad:
+            return _triad(folder / (name or ""), names, time or columns.time_column or "", columns.unit_ns, dialect)
+
+        acc = triad(columns.acc_file or source.name, columns.acc)
+        gyr = triad(columns.gyr_file, columns.gyr, columns.gyr_time_column)
         if columns.gravity_file:
-            gravity = _triad(folder / columns.gravity_file, columns.acc, time, sidecar, sensor)
+            gravity = triad(columns.gravity_file, columns.acc)
             added, known = _at(acc.t_ns, gravity)
             acc = _Triad(acc.t_ns[known], acc.values[known] + added[known], acc.repaired + gravity.repaired)
     where = f"{source}: {sensor}"
@@ -249,16 +253,14 @@ def joined_table(source: Path, sidecar: Sidecar, sensor: Sensor) -> tuple[Table,
     names = [[f"{kind} {axis}" for axis in "xyz"] for kind in ("acc", "gyr")]
     values = np.hstack((own, theirs) if base is acc else (theirs, own))
     arrays = {name: pa.array(values[:, k], mask=~known) for k, name in enumerate((*names[0], *names[1]))}
-    table = Table.of_columns(source, pa.table({"time": t_ns, **arrays}))
+    table = Table(source, pa.table({"time": t_ns, **arrays}))
     of_table = {"acc": names[0], "gyr": names[1], "time_column": "time", "time_unit": "ns", "time_wraps_at": None}
-    described = {**sidecar.sensors, sensor: columns.model_copy(update=of_table)}
-    return table, sidecar.model_copy(update={"sensors": described, "time_wraps_at": None}), acc.repaired + gyr.repaired
+    return table, columns.model_copy(update=of_table), acc.repaired + gyr.repaired
 
 
-def _triad(path: Path, names: tuple[str, ...], time: str | None, sidecar: Sidecar, sensor: Sensor) -> _Triad:
-    assert time is not None
-    table = Table(path, [time, *names], [time], sidecar.dialect)
-    t_ns = table.times_ns(time, time_factor_ns(sidecar.time_unit_of(sensor), sidecar.rate_of(sensor)))
+def _triad(path: Path, names: tuple[str, ...], time: str, unit_ns: float, dialect: Dialect) -> _Triad:
+    table = Table.read(path, [time, *names], [time], dialect)
+    t_ns = table.times_ns(time, unit_ns)
     values, _ = table.vectors(names)
     kept = np.ones(table.rows, np.bool_)
     for empty in map(table.empty, (time, *names)):
@@ -270,7 +272,7 @@ def _triad(path: Path, names: tuple[str, ...], time: str | None, sidecar: Sideca
         refuse_wild_clock(steps, np.flatnonzero(steps < 0), str(path), lambda index: table.place(int(rows[index])))
     t_ns, order = np.unique(t_ns, return_index=True)
     if t_ns.size < 2:
-        raise RecordingError(f"{path}: {sensor}: has {t_ns.size} sample; export the recording again")
+        raise RecordingError(f"{path}: has {t_ns.size} sample; export the recording again")
     return _Triad(t_ns, values[kept][order], count)
 
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from fes.config import Foot, FootGeometry, Ground, Positive, Settings, explain, read_toml
 from fes.recording.csv_layout import Dialect
 from fes.recording.tracks import RecordingError
-from fes.recording.units import SAMPLES, AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor
+from fes.recording.units import SAMPLES, AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor, time_factor_ns
 from fes.signals import G_MPS2
 
 Sensor = Literal["left_foot", "right_foot", "left_shank", "right_shank", "foot_a", "foot_b"]
@@ -24,6 +24,7 @@ def _three_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+_SHARED = ("acc_unit", "gyr_unit", "rate_hz", "time_column", "time_unit", "time_wraps_at")  # at the top, for all
 Columns = Annotated[tuple[str, ...], Field(strict=False), AfterValidator(_three_names)]  # TOML has no tuples
 
 
@@ -85,6 +86,16 @@ class SensorColumns(Settings):
         return self
 
     @property
+    def unit_ns(self) -> float:
+        """Nanoseconds per unit of its times."""
+        return time_factor_ns(self.time_unit or "s", self.rate_hz)
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """(m/s² per accelerometer unit, with its sign, rad/s per gyroscope unit)."""
+        return self.acc_sign * acc_factor(self.acc_unit or "m/s^2"), gyr_factor(self.gyr_unit or "rad/s")
+
+    @property
     def acc_range(self) -> float | None:
         """Full scale in m/s², None if unknown."""
         return self.acc_range_g * G_MPS2 if self.acc_range_g else self.acc_range_mps2
@@ -139,15 +150,16 @@ class Sidecar(Settings):
                 if place in owner:
                     raise ValueError(f"column {place[-1]!r} is given to {owner[place]} and to {sensor}")
                 owner[place] = sensor
-            if columns.gyr_file and not self.time_of(sensor):
+            columns = self.columns_of(sensor)
+            if columns.gyr_file and not columns.time_column:
                 raise ValueError(f"{sensor} is of two files, which only times bring together: say time_column = …")
             for key, allowed in (("acc_unit", '"m/s^2" or "g"'), ("gyr_unit", '"rad/s" or "deg/s"')):
-                if getattr(columns, key) is None and getattr(self, key) is None:
+                if getattr(columns, key) is None:
                     raise ValueError(f"{key} is missing for {sensor}; say {key} = {allowed} at the top")
-            if self.can is None and not self.time_of(sensor) and not self.rate_of(sensor):
+            if self.can is None and not columns.time_column and not columns.rate_hz:
                 remedy = "say time_column = … or rate_hz = … at the top"
                 raise ValueError(f"{sensor} has neither a time column nor a rate; {remedy}")
-            if self.time_of(sensor) and self.time_unit_of(sensor) == SAMPLES and not self.rate_of(sensor):
+            if columns.time_column and columns.time_unit == SAMPLES and not columns.rate_hz:
                 raise ValueError(f'{sensor}: time_unit = "samples" needs rate_hz: how many come in a second')
         return self
 
@@ -156,34 +168,10 @@ class Sidecar(Settings):
         """How the text of its CSV files is laid out."""
         return Dialect(**{field.name: getattr(self, field.name) for field in fields(Dialect)})
 
-    def time_of(self, sensor: Sensor) -> str | None:
-        """The sensor's time column."""
-        return self.sensors[sensor].time_column or self.time_column
-
-    def time_unit_of(self, sensor: Sensor) -> str | float:
-        """The unit of the sensor's time column: a name, or seconds per count."""
-        return self.sensors[sensor].time_unit or self.time_unit
-
-    def wraps_at_of(self, sensor: Sensor) -> int | None:
-        """Where the sensor's time column begins anew, in its own unit."""
-        return self.sensors[sensor].time_wraps_at or self.time_wraps_at
-
-    def rate_of(self, sensor: Sensor) -> float | None:
-        """The sensor's stated rate."""
-        return self.sensors[sensor].rate_hz or self.rate_hz
-
-    def acc_unit_of(self, sensor: Sensor) -> str | float:
-        """The accelerometer's unit: a name, or m/s² per count."""
-        return self.sensors[sensor].acc_unit or self.acc_unit or "m/s^2"
-
-    def gyr_unit_of(self, sensor: Sensor) -> str | float:
-        """The gyroscope's unit: a name, or rad/s per count."""
-        return self.sensors[sensor].gyr_unit or self.gyr_unit or "rad/s"
-
-    def factors_of(self, sensor: Sensor) -> tuple[float, float]:
-        """(m/s² per accelerometer unit, with its sign, rad/s per gyroscope unit)."""
-        sign = self.sensors[sensor].acc_sign
-        return sign * acc_factor(self.acc_unit_of(sensor)), gyr_factor(self.gyr_unit_of(sensor))
+    def columns_of(self, sensor: Sensor) -> SensorColumns:
+        """A sensor's columns, with what holds for all sensors where it does not say it itself."""
+        columns = self.sensors[sensor]
+        return columns.model_copy(update={key: getattr(self, key) for key in _SHARED if getattr(columns, key) is None})
 
 
 def reword_sidecar_fault(fault: Mapping[str, Any], location: tuple[int | str, ...]) -> str:

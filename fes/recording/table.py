@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import difflib
 import math
 from collections.abc import Iterator
@@ -24,55 +23,62 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 TABLE_SUFFIXES = (".csv", ".parquet")
+DEFAULT_DIALECT = Dialect()
 _PARQUET_MAGIC = b"PAR1"
 _BATCH_ROWS = 65_536
 
 
 class Table:
-    """The wanted columns of a file.
+    """Columns of a file, or of rows of it from ``first`` on; ``path`` is where they are from, for messages.
 
-    Raises (constructor):
-        RecordingError: the file is no readable CSV or Parquet, is empty, or lacks a column.
+    ``is_csv``: as ``dialect`` says; ``container``: they are named ``stream.channel``.
     """
 
-    def __init__(self, path: Path, wanted: list[str], times: list[str], dialect: Dialect) -> None:
-        """``wanted``: columns to read; ``times``: those of them that are times."""
-        self.path = path
-        self.first = 0  # row of the file
-        self._container = container_of(path)
-        self.is_csv = not self._container and not is_parquet(path)
-        self._dialect = dialect
+    def __init__(
+        self,
+        path: Path,
+        table: pa.Table,
+        first: int = 0,
+        *,
+        is_csv: bool = False,
+        dialect: Dialect = DEFAULT_DIALECT,
+        container: bool = False,
+    ) -> None:
+        self.path, self.first, self.is_csv = path, first, is_csv
+        self._table, self._dialect, self._container = table, dialect, container
         self._times: dict[tuple[str, float, int | None], IntArray] = {}
-        if self._container:
-            table, _ = container_table(path)
-            self._check_names(table.column_names, wanted)
-            self._table = table.select(list(dict.fromkeys(wanted)))
+        self.rows = int(table.num_rows)
+
+    @classmethod
+    def read(cls, path: Path, wanted: list[str], times: list[str], dialect: Dialect) -> Table:
+        """The wanted columns of a file; ``times``: those of them that are times.
+
+        Raises:
+            RecordingError: the file is no readable CSV or Parquet, is empty, or lacks a column.
+        """
+        container = bool(container_of(path))
+        is_csv = not container and not is_parquet(path)
+        if container:
+            whole, _ = container_table(path)
+            _check_names(path, whole.column_names, wanted)
+            table = whole.select(list(dict.fromkeys(wanted)))
         else:
-            self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
-        self.rows = int(self._table.num_rows)
-        if self.rows == 0:
+            table = _read_csv(path, wanted, times, dialect) if is_csv else _read_parquet(path, wanted)
+        if table.num_rows == 0:
             raise RecordingError(f"{path}: holds a header and no samples")
+        return cls(path, table, is_csv=is_csv, dialect=dialect, container=container)
 
     @classmethod
-    def of_columns(cls, path: Path, table: pa.Table) -> Table:
-        """Columns that are there already; ``path`` is where they are from, for messages."""
-        part = cls.__new__(cls)
-        part.path, part.is_csv, part._dialect, part._container = path, False, Dialect(), ""
-        return part._rows_from(table, 0)
-
-    @classmethod
-    def parts(cls, path: Path, wanted: list[str], rows: int, dialect: Dialect) -> Iterator[Table]:
+    def parts(cls, path: Path, wanted: list[str], rows: int) -> Iterator[Table]:
         """A Parquet file's tables of so many rows each, the last of what is left; no more is read than is asked for.
 
         Raises:
-            RecordingError: as the constructor.
+            RecordingError: as :meth:`read`.
         """
         import pyarrow as pa
         from pyarrow import parquet
 
-        part = cls.__new__(cls)
-        part.path, part.is_csv, part._dialect, part._container = path, False, dialect, ""
-        part._check_names(cls.parquet_names(path), wanted)
+        _check_names(path, parquet_names(path), wanted)
         first, taken, batches, size = 0, 0, list[Any](), min(rows, _BATCH_ROWS)
         with _damage_explained(path), parquet.ParquetFile(path, page_checksum_verification=True) as file:
             # one row group after the other: of all at once the reader keeps more
@@ -85,19 +91,12 @@ class Table:
                     if taken == rows:
                         table, batches = pa.Table.from_batches(batches), []
                         del head
-                        yield part._rows_from(table, first)
+                        yield cls(path, table, first)
                         del table
                         pa.default_memory_pool().release_unused()
                         first, taken = first + rows, 0
         if batches:
-            yield part._rows_from(pa.Table.from_batches(batches), first)
-
-    def _rows_from(self, table: pa.Table, first: int) -> Table:
-        """The same file's rows from ``first`` on."""
-        part = copy.copy(self)
-        part._times = {}
-        part._table, part.rows, part.first = table, int(table.num_rows), first
-        return part
+            yield cls(path, pa.Table.from_batches(batches), first)
 
     def place(self, row: int) -> str:
         """Return where a row is, for messages: “line 17” of a CSV file, “row 16” (from 1) of Parquet."""
@@ -209,82 +208,81 @@ class Table:
                 f"({bad.size} such rows); check time_unit"
             )
 
-    def _read_csv(self, wanted: list[str], times: list[str]) -> pa.Table:
-        import pyarrow as pa
-        from pyarrow import csv
 
-        dialect = self._dialect
-        names = csv_text.header(self.path, dialect)
-        self._check_names(names, wanted)
-        types = {name: pa.float64() for name in wanted if name not in times}
-        try:
-            return csv.read_csv(
-                self.path,
-                csv.ReadOptions(column_names=names, skip_rows=dialect.first_data_line - 1, encoding=dialect.encoding),
-                csv.ParseOptions(delimiter=dialect.delimiter),
-                csv.ConvertOptions(
-                    column_types=types, include_columns=wanted, null_values=[""], decimal_point=dialect.decimal
-                ),
-            )
-        except (pa.ArrowException, OSError, UnicodeDecodeError, KeyError) as error:
-            fault = csv_text.find_fault(self.path, dialect, wanted)
-            why = " ".join(str(error).split())
-            raise RecordingError(fault or f"{self.path}: cannot be read as CSV: {why}") from error
+def _read_csv(path: Path, wanted: list[str], times: list[str], dialect: Dialect) -> pa.Table:
+    import pyarrow as pa
+    from pyarrow import csv
 
-    def _read_parquet(self, wanted: list[str]) -> pa.Table:
-        from pyarrow import parquet
-
-        _check_ends(self.path)
-        with (
-            _damage_explained(self.path),
-            parquet.ParquetFile(self.path, page_checksum_verification=True, pre_buffer=False) as file,
-        ):
-            self._check_names(file.schema_arrow.names, wanted)
-            # on several cores it takes a fifth more of their time, and leaves the columns in the others' caches
-            return file.read(columns=wanted, use_threads=False)
-
-    @staticmethod
-    def parquet_rows(path: Path) -> int:
-        """Return how many rows a Parquet file has; errors as of :meth:`parquet_names`."""
-        from pyarrow import parquet
-
-        Table.parquet_names(path)
-        return int(parquet.read_metadata(path).num_rows)
-
-    @staticmethod
-    def parquet_names(path: Path) -> list[str]:
-        """Return a Parquet file's column names.
-
-        Raises:
-            RecordingError: it is empty, cut short, damaged or no Parquet.
-        """
-        from pyarrow import parquet
-
-        _check_ends(path)
-        with _damage_explained(path):
-            return list(parquet.read_schema(path).names)
-
-    def _check_names(self, names: list[str], wanted: list[str]) -> None:
-        missing = [name for name in wanted if name not in names]
-        twice = [name for name in wanted if names.count(name) > 1]
-        if twice:
-            also = "; if its header has two lines, say header_lines = 2 in the sidecar" if self.is_csv else ""
-            raise RecordingError(f"{self.path}: has {names.count(twice[0])} columns {twice[0]!r}: rename them{also}")
-        if not missing:
-            return
-        if self.is_csv and (delimiter := csv_text.other_delimiter(self.path, self._dialect, wanted)):
-            also = ' (and decimal = "," if its numbers have decimal commas)' if delimiter == ";" else ""
-            shown = delimiter.replace("\t", "\\t")
-            raise RecordingError(
-                f'{self.path}: its fields are separated by "{shown}", not by "{self._dialect.delimiter}"; '
-                f'say delimiter = "{shown}" in the sidecar{also}'
-            )
-        near = difflib.get_close_matches(missing[0], names, n=3, cutoff=0.5)
-        guess = f" Did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
-        more = f" ({len(missing) - 1} more are missing too)" if len(missing) > 1 else ""
-        raise RecordingError(
-            f"{self.path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
+    names = csv_text.header(path, dialect)
+    _check_names(path, names, wanted, dialect)
+    types = {name: pa.float64() for name in wanted if name not in times}
+    try:
+        return csv.read_csv(
+            path,
+            csv.ReadOptions(column_names=names, skip_rows=dialect.first_data_line - 1, encoding=dialect.encoding),
+            csv.ParseOptions(delimiter=dialect.delimiter),
+            csv.ConvertOptions(
+                column_types=types, include_columns=wanted, null_values=[""], decimal_point=dialect.decimal
+            ),
         )
+    except (pa.ArrowException, OSError, UnicodeDecodeError, KeyError) as error:
+        fault = csv_text.find_fault(path, dialect, wanted)
+        raise RecordingError(fault or f"{path}: cannot be read as CSV: {' '.join(str(error).split())}") from error
+
+
+def _read_parquet(path: Path, wanted: list[str]) -> pa.Table:
+    from pyarrow import parquet
+
+    _check_ends(path)
+    with _damage_explained(path), parquet.ParquetFile(path, page_checksum_verification=True, pre_buffer=False) as file:
+        _check_names(path, file.schema_arrow.names, wanted)
+        # on several cores it takes a fifth more of their time, and leaves the columns in the others' caches
+        return file.read(columns=wanted, use_threads=False)
+
+
+def parquet_rows(path: Path) -> int:
+    """Return how many rows a Parquet file has; errors as of :func:`parquet_names`."""
+    from pyarrow import parquet
+
+    parquet_names(path)
+    return int(parquet.read_metadata(path).num_rows)
+
+
+def parquet_names(path: Path) -> list[str]:
+    """Return a Parquet file's column names.
+
+    Raises:
+        RecordingError: it is empty, cut short, damaged or no Parquet.
+    """
+    from pyarrow import parquet
+
+    _check_ends(path)
+    with _damage_explained(path):
+        return list(parquet.read_schema(path).names)
+
+
+def _check_names(path: Path, names: list[str], wanted: list[str], dialect: Dialect | None = None) -> None:
+    """``dialect``: of a CSV file."""
+    missing = [name for name in wanted if name not in names]
+    twice = [name for name in wanted if names.count(name) > 1]
+    if twice:
+        also = "; if its header has two lines, say header_lines = 2 in the sidecar" if dialect else ""
+        raise RecordingError(f"{path}: has {names.count(twice[0])} columns {twice[0]!r}: rename them{also}")
+    if not missing:
+        return
+    if dialect and (delimiter := csv_text.other_delimiter(path, dialect, wanted)):
+        also = ' (and decimal = "," if its numbers have decimal commas)' if delimiter == ";" else ""
+        shown = delimiter.replace("\t", "\\t")
+        raise RecordingError(
+            f'{path}: its fields are separated by "{shown}", not by "{dialect.delimiter}"; '
+            f'say delimiter = "{shown}" in the sidecar{also}'
+        )
+    near = difflib.get_close_matches(missing[0], names, n=3, cutoff=0.5)
+    guess = f" Did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
+    more = f" ({len(missing) - 1} more are missing too)" if len(missing) > 1 else ""
+    raise RecordingError(
+        f"{path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
+    )
 
 
 def is_parquet(path: Path) -> bool:

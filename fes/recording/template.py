@@ -3,6 +3,7 @@
 What nothing tells is not guessed: it stands as “?”, and reading refuses it until someone has answered.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -16,7 +17,7 @@ from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
 from fes.recording.naming import Group, counter_columns, group_columns, stated_unit, time_columns
 from fes.recording.raw import RATE_TOLERANCE
 from fes.recording.several_files import acc_sign_of, companion_files, is_zip, opened
-from fes.recording.table import Table, is_parquet, unwrapped
+from fes.recording.table import Table, is_parquet, parquet_names, unwrapped
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GRAVITY_GONE, GYR_UNITS, time_factor_ns
 from fes.recording.write import toml_value
@@ -40,7 +41,7 @@ def sidecar_template(path: Path) -> str:
         table, units = container_table(path)
         layout = Layout(Dialect(), table.column_names, units, [], set(table.column_names))
     elif is_parquet(path):
-        names = Table.parquet_names(path)
+        names = parquet_names(path)
         layout = Layout(Dialect(), names, {}, [], set(names))
     else:
         layout = csv_layout(path)
@@ -96,8 +97,7 @@ def _characterised(path: Path, layout: Layout, group: Group) -> hints.Numbers | 
         return None
     values = [*group.names("acc"), *group.names("gyr")]
     try:
-        table = Table(path, values, [], layout.dialect)
-        return _characterised_data(np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values]))
+        return _characterised_data(_numbers(path, values, layout)[:_PROBE_ROWS])
     except (RecordingError, ValueError, IndexError):
         return None
 
@@ -118,10 +118,10 @@ def _several_template(path: Path) -> str:
         own = group.names("acc"), group.names("gyr")
         numbers = None
         if group.whole:
-            data = _triad_data(acc_path, own[0], layout)
+            data = _numbers(acc_path, own[0], layout)
             others = [(gyr_path, own[1], of_gyr)]
             others += [(folder / files.gravity, own[0], layout)] if files.gravity else []
-            gyr, *gravity = (_spread(_triad_data(*each), len(data)) for each in others)
+            gyr, *gravity = (_spread(_numbers(*each), len(data)) for each in others)
             numbers = _characterised_data(np.hstack((sum(gravity, data), gyr))[:_PROBE_ROWS])
         sensor_logger = "seconds_elapsed" in layout.names
         sign = acc_sign_of(folder) if sensor_logger and files.acc != files.names.get("total") else 1
@@ -150,8 +150,8 @@ def _sign_lines(sign: int | None) -> list[str]:
     return [] if sign == 1 else ["acc_sign = -1  # an iPhone's, by Metadata.csv: the axis that points up reads -1 g"]
 
 
-def _triad_data(path: Path, names: list[str], layout: Layout) -> FloatArray:
-    table = Table(path, names, [], layout.dialect)
+def _numbers(path: Path, names: list[str], layout: Layout) -> FloatArray:
+    table = Table.read(path, names, [], layout.dialect)
     return np.column_stack([table.numbers(name) for name in names])
 
 
@@ -204,7 +204,7 @@ class _Clock:
 def _clock(path: Path, layout: Layout, name: str) -> _Clock | None:
     """None where the column cannot be read or stands still."""
     try:
-        table = Table(path, [name], [name], layout.dialect)
+        table = Table.read(path, [name], [name], layout.dialect)
         try:
             readings = table.numbers(name)
         except RecordingError:  # date and time
@@ -293,9 +293,14 @@ def _wrap_lines(clock: _Clock) -> list[str]:
     return [f"time_wraps_at = {clock.wraps_at}  # there it begins anew"] if clock.wraps_at else []
 
 
+def _named_unit(kind: str, group: Group, units: Mapping[str, str]) -> str:
+    """The unit that all names of a kind, or what stands under them, agree on; "" where they do not."""
+    stated = {stated_unit(kind, name, units.get(name, "")) for name in group.names(kind)}
+    return stated.pop() if len(stated) == 1 else ""
+
+
 def _acc_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> str:
-    stated = {stated_unit("acc", name, layout.units.get(name, "")) for name in group.names("acc")}
-    named = stated.pop() if len(stated) == 1 else ""
+    named = _named_unit("acc", group, layout.units)
     if numbers is None:
         return f'acc_unit = "{named}"' if named else 'acc_unit = "?"  # ? "m/s^2", "g" or "mg"'
     gravity, found = numbers.gravity, hints.acc_unit_of(numbers)
@@ -310,8 +315,7 @@ def _acc_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> st
 
 
 def _gyr_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> str:
-    stated = {stated_unit("gyr", name, layout.units.get(name, "")) for name in group.names("gyr")}
-    named = stated.pop() if len(stated) == 1 else ""
+    named = _named_unit("gyr", group, layout.units)
     if numbers is None:
         return f'gyr_unit = "{named}"' if named else 'gyr_unit = "?"  # ? "rad/s" or "deg/s"'
     found = hints.gyr_unit_of(numbers, hints.acc_unit_of(numbers))
@@ -355,8 +359,7 @@ def _can_template(path: Path) -> str:
         groups, dbc = group_columns(list(units)), f'{beside[0].name}"  # the only one beside this file'
     lines = []
     for kind, allowed in (("acc", "m/s^2"), ("gyr", "rad/s")):
-        stated = {stated_unit(kind, name, units.get(name, "")) for name in groups[0].names(kind)}
-        named = stated.pop() if len(stated) == 1 else ""
+        named = _named_unit(kind, groups[0], units)
         other = "g" if kind == "acc" else "deg/s"
         asked = f'"{allowed}"  # ? "{allowed}" or "{other}", after the DBC\'s scaling'
         lines.append(f'{kind}_unit = "{named}"  # the DBC says so' if named else f"{kind}_unit = {asked}")

@@ -56,12 +56,7 @@ class Anonymised:
 
 
 def anonymise(
-    source: Path,
-    target: Path,
-    *,
-    names: Collection[str] = (),
-    keep_marks: bool = False,
-    refused: Sequence[str] = (),
+    source: Path, target: Path, *, names: Collection[str] = (), keep_marks: bool = False, refused: Sequence[str] = ()
 ) -> Anonymised:
     """Write ``target``, a new log like ``source`` without names; whole records only, as many as are whole.
 

@@ -1,13 +1,10 @@
-"""A session log as tables, batch by batch: what every file format that it is converted to is fed with.
+"""A session log as tables, batch by batch, and these as CSV, Parquet, MCAP; the log as C3D.
 
-Tables → a folder of CSV or Parquet files, one a table, and what the log's header and summary say as JSON.
+MCAP, for Foxglove and PlotJuggler: a topic for each table, ``/imu/left_foot``, ``/phases`` …; a JSON message a row,
+with schemas, in zstd chunks. Log time is ns since 1970 where the header says when the session was begun, else since its
+first moment.
 
-Tables → one MCAP file that Foxglove and PlotJuggler open: JSON messages with their schemas, in zstd chunks.
-
-A topic for each table, ``/imu/left_foot``, ``/phases`` …; one message a row. Log time is ns since 1970 where the header
-says when the session was begun, else since its first moment.
-
-A session log → one C3D file, which motion laboratories open (Mokka, Visual3D, Nexus), by the library ezc3d.
+C3D, which motion laboratories open (Mokka, Visual3D, Nexus), by the library ezc3d:
 
 - *Analog*: each sensor's acceleration and rotation rate, its phase (0 stance, 1 pre-swing, 2 swing, 3 loading
   response), and each channel's commanded current, at the fastest sensor's rate.

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, Self
 
 from fes.signals import FootSwitchEvent, StimOpened, SystemFault, WireFrame
 from fes.walk_record import WalkRecord
@@ -61,28 +61,41 @@ HEAD_BYTES: Final = HEAD.size
 
 
 class RecordType(IntEnum):
-    """What a record holds. Numbers are never reused."""
+    """What a record holds; numbers are never reused.
 
-    HEADER = 1
-    SUMMARY = 2
-    SAMPLES = 3
-    TICK = 4
-    ACT = 5
-    STATUS = 6
-    ALIVE = 7
-    COMMAND = 8
-    FRAME = 9
-    PHASE = 10
-    STRIDE = 11
-    NOTE = 12
-    LATENCY = 13
-    STIM_OPENED = 14
-    FOOT_SWITCH = 15
-    SYSTEM_FAULT = 16
-    RECEIVED = 17
+    ``words`` are for one and for several; ``field`` is where a :class:`SessionRecord` gathers single values.
+    """
+
+    words: tuple[str, str]
+    field: str
+
+    def __new__(cls, number: int, one: str = "", several: str = "", field: str = "") -> Self:
+        """A member, whose value is the number alone."""
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.words, member.field = (one, several or f"{one}s"), field
+        return member
+
+    HEADER = 1, "header"
+    SUMMARY = 2, "summary", "summaries"
+    SAMPLES = 3, "run of samples", "runs of samples"
+    TICK = 4, "tick"
+    ACT = 5, "operator's act", "", "acts"
+    STATUS = 6, "stimulator's answer", "", "statuses"
+    ALIVE = 7, "stimulator's heartbeat", "", "alive"
+    COMMAND = 8, "command", "", "commands"
+    FRAME = 9, "frame", "", "frames"
+    PHASE = 10, "phase change", "", "phases"
+    STRIDE = 11, "stride", "", "strides"
+    NOTE = 12, "note", "", "notes"
+    LATENCY = 13, "run of latencies", "runs of latencies"
+    STIM_OPENED = 14, "reopening of the stimulator", "reopenings of the stimulator", "reopened"
+    FOOT_SWITCH = 15, "foot switch's event", "", "switches"
+    SYSTEM_FAULT = 16, "system fault", "", "faults"
+    RECEIVED = 17, "stimulator's bytes", "stimulator's bytes", "received"
 
 
-_KNOWN = frozenset(int(kind) for kind in RecordType)
+_KINDS: Final = {int(kind): kind for kind in RecordType}
 _KIND_BYTE = {int(kind): kind.to_bytes(1, "little") for kind in RecordType}
 
 
@@ -108,12 +121,44 @@ def wrong_start(path: Path, start: bytes) -> SessionLogError:
     return SessionLogError(f"{path}: {why}")
 
 
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Why there is no whole record at a place; ``end`` is where one would end, by its head.
+
+    ``checked``: its checksum is right, and so is its length.
+    """
+
+    why: str
+    kind: RecordType | None = None
+    end: int = 0
+    checked: bool = False
+
+
+def record_at(file: BinaryIO, at: int, size: int) -> tuple[RecordType, bytes] | Refused:
+    """Type and payload of the record that begins at byte ``at`` of ``size``, where the ``file`` stands."""
+    head = file.read(HEAD_BYTES)
+    if len(head) < HEAD_BYTES:
+        return Refused("a record's first bytes only")
+    length, checksum, number = HEAD.unpack(head)
+    kind, end = _KINDS.get(number), at + 8 + length
+    if not 0 < length <= MAX_RECORD_BYTES:
+        return Refused("no record starts there")
+    if end > size:
+        return Refused("a record cut short", kind, end)
+    payload = file.read(length - 1)
+    if zlib.crc32(payload, zlib.crc32(head[8:], length)) != checksum:
+        return Refused("a damaged record (its checksum differs)", kind, end)
+    if kind is None:
+        return Refused(f"a record of unknown type {number}", None, end, checked=True)
+    return kind, payload
+
+
 class LogScan:
     """One pass over a log's whole records, up to the first that is torn or damaged.
 
-    Iterating yields (type, payload) with the payload as a view into the file; afterwards ``lost`` says in words
-    what lies behind the last good record, "" if nothing, and ``good_bytes`` how far the file is whole. Of a log that
-    grows, another scan goes on ``from_byte``, where the last one found it whole.
+    Iterating yields (type, payload); afterwards ``lost`` says in words what lies behind the last good record, "" if
+    nothing, and ``good_bytes`` how far the file is whole. Of a log that grows, another scan goes on ``from_byte``,
+    where the last one found it whole.
     """
 
     def __init__(self, path: Path, from_byte: int = 0) -> None:
@@ -122,55 +167,23 @@ class LogScan:
         self.good_bytes = 0
         self._begin = max(from_byte, len(MAGIC))
 
-    def __iter__(self) -> Iterator[tuple[int, memoryview]]:
+    def __iter__(self) -> Iterator[tuple[RecordType, memoryview]]:
         try:
             # not mapped into memory: a file cut short while it is read would end the process
-            with self.path.open("rb", buffering=0) as file:
+            with self.path.open("rb", buffering=BLOCK_BYTES) as file:
                 size = file.seek(0, 2)
                 file.seek(0)
                 start = file.read(len(MAGIC))
                 if start != MAGIC:
                     raise wrong_start(self.path, start)
-                file.seek(self._begin)
-                yield from self._records(file, size)
+                at = self.good_bytes = file.seek(self._begin)
+                while at < size:
+                    record = record_at(file, at, size)
+                    if isinstance(record, Refused):
+                        self.lost = f"the last {size - at} of {size} bytes, from byte {at} on: {record.why}"
+                        return
+                    kind, payload = record
+                    at = self.good_bytes = at + HEAD_BYTES + len(payload)
+                    yield kind, memoryview(payload)
         except OSError as error:
             raise unreadable(self.path, error) from error
-
-    def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
-        unpack, crc32, known, head = HEAD.unpack_from, zlib.crc32, _KNOWN, HEAD_BYTES
-        at, block_at, block = self._begin, self._begin, memoryview(b"")
-        while at < size:
-            here, fault = at - block_at, ""
-            if len(block) - here < head:
-                block, block_at, here = _further(file, block[here:], BLOCK_BYTES), at, 0
-            if len(block) < head:
-                fault = "a record's first bytes only"
-            else:
-                length, checksum, kind = unpack(block, here)
-                end = here + 8 + length
-                if end > len(block) and 0 < length <= MAX_RECORD_BYTES:
-                    block, block_at, here, end = _further(file, block[here:], length), at, 0, 8 + length
-                if not 0 < length <= MAX_RECORD_BYTES:
-                    fault = "no record starts there"
-                elif end > len(block):
-                    fault = "a record cut short"
-                elif crc32(block[here + 8 : end], length) != checksum:
-                    fault = "a damaged record (its checksum differs)"
-                elif kind not in known:
-                    fault = f"a record of unknown type {kind}"
-            if fault:
-                self.lost = f"the last {size - at} of {size} bytes, from byte {at} on: {fault}"
-                break
-            payload = block[here + head : end]
-            at = self.good_bytes = block_at + end
-            yield kind, payload
-        self.good_bytes = at
-
-
-def _further(file: BinaryIO, left: memoryview, most: int) -> memoryview:
-    """What is left of a block, and at least ``most`` bytes more of the file, if it has as many."""
-    parts, wanted = [bytes(left)], max(most, BLOCK_BYTES)
-    while wanted > 0 and (part := file.read(wanted)):
-        parts.append(part)
-        wanted -= len(part)
-    return memoryview(b"".join(parts))

@@ -65,20 +65,7 @@ class _Gathered:
 
     def __init__(self, record: SessionRecord, leave_out: frozenset[RecordType]) -> None:
         self._record = record
-        self._singles: dict[int, list[Any]] = {
-            RecordType.ACT: record.acts,
-            RecordType.STATUS: record.statuses,
-            RecordType.ALIVE: record.alive,
-            RecordType.PHASE: record.phases,
-            RecordType.STRIDE: record.strides,
-            RecordType.COMMAND: record.commands,
-            RecordType.FRAME: record.frames,
-            RecordType.NOTE: record.notes,
-            RecordType.STIM_OPENED: record.reopened,
-            RecordType.FOOT_SWITCH: record.switches,
-            RecordType.SYSTEM_FAULT: record.faults,
-            RecordType.RECEIVED: record.received,
-        }
+        self._singles: dict[int, list[Any]] = {kind: getattr(record, kind.field) for kind in RecordType if kind.field}
         kinds = {*self._singles, *_RUNS} - leave_out
         self._waiting: dict[int, list[memoryview]] = {kind: [] for kind in kinds}
         self._count = 0

@@ -7,7 +7,6 @@ in 4 · 10⁹ places.
 
 import os
 import struct
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -19,13 +18,13 @@ import numpy as np
 from fes.session_log.codec import Rare, decode, decode_json, encode, encode_json, latency_arrays, samples_of
 from fes.session_log.framing import (
     BLOCK_BYTES,
-    HEAD,
     HEAD_BYTES,
     MAGIC,
-    MAX_RECORD_BYTES,
     RecordType,
+    Refused,
     SessionLogError,
     framed,
+    record_at,
     unreadable,
     wrong_start,
 )
@@ -46,25 +45,6 @@ _TYPES: Final[dict[Any, tuple[type, ...]]] = {
     bool: (bool,),
 }
 _KNOWN = np.isin(np.arange(256), [int(kind) for kind in RecordType])
-NAMES: Final = {
-    RecordType.HEADER: ("header", "headers"),
-    RecordType.SUMMARY: ("summary", "summaries"),
-    RecordType.SAMPLES: ("run of samples", "runs of samples"),
-    RecordType.TICK: ("tick", "ticks"),
-    RecordType.ACT: ("operator's act", "operator's acts"),
-    RecordType.STATUS: ("stimulator's answer", "stimulator's answers"),
-    RecordType.ALIVE: ("stimulator's heartbeat", "stimulator's heartbeats"),
-    RecordType.COMMAND: ("command", "commands"),
-    RecordType.FRAME: ("frame", "frames"),
-    RecordType.PHASE: ("phase change", "phase changes"),
-    RecordType.STRIDE: ("stride", "strides"),
-    RecordType.NOTE: ("note", "notes"),
-    RecordType.LATENCY: ("run of latencies", "runs of latencies"),
-    RecordType.STIM_OPENED: ("reopening of the stimulator", "reopenings of the stimulator"),
-    RecordType.FOOT_SWITCH: ("foot switch's event", "foot switch's events"),
-    RecordType.SYSTEM_FAULT: ("system fault", "system faults"),
-    RecordType.RECEIVED: ("stimulator's bytes", "stimulator's bytes"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,16 +75,6 @@ class Damage:
     kind: RecordType | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Refused:
-    """Why there is no whole record at a place; ``end`` is where one would end, by its head."""
-
-    why: str
-    kind: RecordType | None = None
-    end: int = 0
-    checked: bool = False  # the checksum was right
-
-
 def stretches(path: Path) -> Iterator[Whole | Damage]:
     """Yield what a session log consists of, without a byte left out, in the order of the file.
 
@@ -124,34 +94,24 @@ def stretches(path: Path) -> Iterator[Whole | Damage]:
             at = len(MAGIC)
             while at < size:
                 record = _record(file, at, size)
-                stretch = _damage(file, at, size, record) if isinstance(record, _Refused) else record
+                stretch = _damage(file, at, size, record) if isinstance(record, Refused) else record
                 yield stretch
                 at += stretch.size
     except OSError as error:
         raise unreadable(path, error) from error
 
 
-def _record(file: BinaryIO, at: int, size: int) -> Whole | _Refused:
+def _record(file: BinaryIO, at: int, size: int) -> Whole | Refused:
     file.seek(at)
-    head = file.read(HEAD_BYTES)
-    if len(head) < HEAD_BYTES:
-        return _Refused("a record's first bytes only")
-    length, checksum, number = HEAD.unpack(head)
-    kind = RecordType(number) if _KNOWN[number] else None
-    if not 0 < length <= MAX_RECORD_BYTES:
-        return _Refused("no record starts there")
-    end = at + 8 + length
-    if end > size:
-        return _Refused("a record cut short", kind, end)
-    payload = file.read(length - 1)
-    if zlib.crc32(payload, zlib.crc32(head[8:], length)) != checksum:
-        return _Refused("a damaged record (its checksum differs)", kind, end)
-    if kind is None:
-        return _Refused(f"a record of unknown type {number}", None, end, checked=True)
+    record = record_at(file, at, size)
+    if isinstance(record, Refused):
+        return record
+    kind, payload = record
+    bytes_long = HEAD_BYTES + len(payload)
     try:
-        return _content(at, 8 + length, kind, memoryview(payload))
+        return _content(at, bytes_long, kind, memoryview(payload))
     except _BAD_CONTENT as error:
-        return _Refused(f"a malformed record ({error})", kind, end, checked=True)
+        return Refused(f"a malformed record ({error})", kind, at + bytes_long, checked=True)
 
 
 def _content(at: int, size: int, kind: RecordType, payload: memoryview) -> Whole:
@@ -180,7 +140,7 @@ def _check_types(value: StrideResult | Note) -> None:
             raise ValueError(f"{name} is beyond 64 bits")
 
 
-def _damage(file: BinaryIO, at: int, size: int, refused: _Refused) -> Damage:
+def _damage(file: BinaryIO, at: int, size: int, refused: Refused) -> Damage:
     if refused.checked:  # its length is right as well
         return Damage(at, refused.end - at, refused.why, refused.kind)
     end = _next_record(file, at + 1, size)
@@ -245,7 +205,7 @@ class Gap(Damage):
         """One sentence; times are s since ``begin_ns``."""
         what = f"{self.size} byte{'s' * (self.size != 1)} from byte {self.at} on: {self.why}"
         if self.kind is not None:
-            what += f", by its head a {NAMES[self.kind][0]}"
+            what += f", by its head a {self.kind.words[0]}"
         if self.harmless:
             return what
         before = f"{1e-9 * (self.before_ns - begin_ns):.3f} s" if self.before_ns is not None else "the beginning"

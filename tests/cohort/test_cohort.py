@@ -7,28 +7,26 @@ import math
 import os
 import shutil
 import signal
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-import fsspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from fes.cli import main
-from fes.cohort.engine import analyse_all, cluster
+from fes.cohort.engine import cluster, run_tasks
 from fes.cohort.page import EVERY, cliffs_delta, group_differences, holm, subject_values, write_pages
-from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, CohortError, Source, Store, find_sources
-from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
+from fes.cohort.store import RECORDINGS, STRIDES, CohortError, Source, Store, find_sources
+from fes.cohort.task import DONE, FAILED, Analysis, Outcome, Settings
 from fes.recording import read_recording, write_recording
 
 TRIALS = Path(__file__).parents[2] / "sim_inputs"
 TRIAL = "both_feet_100hz"
 
 
-def lay(folder: Path, names: list[str]) -> Path:
+def lay(folder: Path, *names: str) -> Path:
     """Copies of one bundled trial, each with its sidecar."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
@@ -37,12 +35,25 @@ def lay(folder: Path, names: list[str]) -> Path:
     return folder
 
 
+def new_store(folder: Path | str) -> Store:
+    store = Store(str(folder))
+    store.prepare({})
+    return store
+
+
+def analysed(place: Path, out: Path | str, **settings: object) -> tuple[Store, Outcome]:
+    """The only recording at a place, analysed into a new store."""
+    store = new_store(out)
+    (source,) = find_sources([str(place)])
+    return store, Analysis(store, source, Settings(**settings)).done()
+
+
 def rows(store: Store, table: str = RECORDINGS) -> list[dict[str, object]]:
     return list(store.table(table, store.finished()).to_pylist())
 
 
 def test_folders_globs_and_files_are_found_once_and_only_with_a_sidecar(tmp_path: Path) -> None:
-    folder = lay(tmp_path / "a", ["one", "two"])
+    folder = lay(tmp_path / "a", "one", "two")
     (folder / "truth.parquet").write_bytes(b"no sidecar")
     found = find_sources([str(folder), str(folder / "*.parquet"), str(folder / "one.parquet")])
     assert [source.path.name for source in found] == ["one.parquet", "two.parquet"]
@@ -50,7 +61,7 @@ def test_folders_globs_and_files_are_found_once_and_only_with_a_sidecar(tmp_path
 
 
 def test_text_counts_where_its_sidecar_is_no_other_file_s(tmp_path: Path) -> None:
-    folder = lay(tmp_path / "a", ["one", "two"])
+    folder = lay(tmp_path / "a", "one", "two")
     (folder / "one.txt").write_text("notes beside one.parquet")
     (folder / "two.parquet").rename(folder / "two.txt")
     assert [source.path.name for source in find_sources([str(folder)])] == ["one.parquet", "two.txt"]
@@ -60,17 +71,6 @@ def test_text_counts_where_its_sidecar_is_no_other_file_s(tmp_path: Path) -> Non
 def test_nothing_found_is_an_error_that_says_where(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(CohortError, match=r"no recording|cannot be opened"):
         find_sources([pattern.format(tmp_path)])
-
-
-def test_another_file_other_settings_or_another_sidecar_is_another_recording(tmp_path: Path) -> None:
-    folder = lay(tmp_path / "a", ["one"])
-    (before,) = find_sources([str(folder)])
-    sidecar = folder / "one.toml"
-    sidecar.write_text(sidecar.read_text(encoding="utf-8") + "\n# more\n", encoding="utf-8")
-    (after,) = find_sources([str(folder)])
-    level, uneven = Settings().text(), Settings(level=False).text()
-    assert len({before.identity(level), after.identity(level), after.identity(uneven)}) == 3
-    assert after.identity(level) == find_sources([str(folder / "one.parquet")])[0].identity(level)
 
 
 @pytest.mark.parametrize(
@@ -85,28 +85,6 @@ def test_the_subject_is_found_in_the_address(url: str, pattern: str, subject: st
     assert Source(url, "").subject(pattern) == subject
 
 
-def test_a_recording_in_memory_or_in_an_archive_gives_the_same_rows_as_a_file(tmp_path: Path) -> None:
-    folder = lay(tmp_path / "a", ["one"])
-    memory = fsspec.filesystem("memory")
-    archive = tmp_path / "walks.zip"
-    with zipfile.ZipFile(archive, "w") as file:
-        for path in folder.iterdir():
-            file.write(path, path.name)
-            memory.pipe_file(f"/cohort/{path.name}", path.read_bytes())
-    strides = []
-    places = (str(folder), "memory://cohort", f"zip://*.parquet::{archive}")
-    for number, place in enumerate(places):
-        (source,) = find_sources([place])
-        store = Store(f"memory://results{number}")
-        store.prepare({})
-        outcome = analyse_one(source, store, Settings())
-        assert outcome.status == DONE, outcome.reason
-        strides.append([{**row, "recording": "", "subject": ""} for row in rows(store, STRIDES)])
-        assert rows(store, EVENTS)
-    assert len(strides[0]) > 20
-    assert strides[0] == strides[1] == strides[2]
-
-
 @pytest.mark.parametrize(
     ("spoil", "word"),
     [
@@ -116,12 +94,10 @@ def test_a_recording_in_memory_or_in_an_archive_gives_the_same_rows_as_a_file(tm
     ],
 )
 def test_a_bad_recording_is_a_row_with_its_reason(tmp_path: Path, spoil: object, word: str) -> None:
-    folder = lay(tmp_path / "a", ["one"])
+    folder = lay(tmp_path / "a", "one")
     assert callable(spoil)
     spoil(folder)
-    store = Store(str(tmp_path / "out"))
-    store.prepare({})
-    outcome = analyse_one(find_sources([str(folder / "one.parquet")])[0], store, Settings())
+    store, outcome = analysed(folder / "one.parquet", tmp_path / "out")
     assert outcome.status == FAILED
     (row,) = rows(store)
     assert word in str(row["reason"])
@@ -129,21 +105,20 @@ def test_a_bad_recording_is_a_row_with_its_reason(tmp_path: Path, spoil: object,
 
 
 def test_half_a_recordings_results_count_as_none(tmp_path: Path) -> None:
-    folder, store = lay(tmp_path / "a", ["one"]), Store(str(tmp_path / "out"))
-    store.prepare({})
+    folder, store = lay(tmp_path / "a", "one"), new_store(tmp_path / "out")
     (source,) = find_sources([str(folder)])
     identity = source.identity(Settings().text())
     store.put(identity, {STRIDES: []})
     (tmp_path / "out" / RECORDINGS / f".{identity}.part").write_bytes(b"PAR1")
+    (tmp_path / "out" / RECORDINGS / "cut.parquet").touch()  # as a power cut may leave it
     assert store.finished() == set()
-    analyse_one(source, store, Settings())
+    Analysis(store, source, Settings()).done()
     assert store.finished() == {identity}
     assert len(rows(store, STRIDES)) > 20
 
 
 def test_two_that_do_the_same_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
-    store = Store(str(tmp_path / "out"))
-    store.prepare({})
+    store = new_store(tmp_path / "out")
     with ThreadPoolExecutor(4) as pool:
         for _ in pool.map(lambda _: store.put("same", {STRIDES: [], RECORDINGS: []}), range(200)):
             pass
@@ -153,10 +128,9 @@ def test_two_that_do_the_same_at_once_do_not_disturb_each_other(tmp_path: Path) 
 
 def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
     names = [f"walk{number}" for number in range(8)]
-    folder, store, settings = lay(tmp_path / "a", names), Store(str(tmp_path / "out")), Settings()
+    folder, store, settings = lay(tmp_path / "a", *names), new_store(tmp_path / "out"), Settings()
     (folder / "walk3.parquet").write_bytes(b"PAR1 torn")
     sources = find_sources([str(folder)])
-    store.prepare({})
     killed: list[int] = []
     with cluster(2) as client:
         victim = next(iter(client.run(os.getpid).values()))
@@ -166,7 +140,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tm
                 killed.append(victim)
                 os.kill(victim, signal.SIGKILL)
 
-        outcomes = analyse_all(client, sources, store, settings, tell)
+        outcomes = run_tasks(client, [Analysis(store, source, settings) for source in sources], tell)
     assert killed
     assert sorted(outcome.identity for outcome in outcomes) == sorted(s.identity(settings.text()) for s in sources)
     found = rows(store)
@@ -188,8 +162,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tm
 
 
 def test_pages_name_outliers_and_a_page_a_subject(tmp_path: Path) -> None:
-    store = Store(str(tmp_path))
-    store.prepare({})
+    store = new_store(tmp_path)
     for number in range(12):
         length_m = 2.4 if number == 5 else 1.2 + 0.01 * number
         subject = "A <b>" if number < 6 else "B"
@@ -209,16 +182,6 @@ def test_pages_name_outliers_and_a_page_a_subject(tmp_path: Path) -> None:
     assert "33 samples clipped" in (tmp_path / "subjects" / pages[1]).read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("collected")
-def test_a_scheduler_that_does_not_answer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fes.cohort.engine.CONNECT_S", 1.0)
-    folder = lay(tmp_path / "a", ["one"])
-    arguments = ["cohort", str(folder), "--out", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 2
-    assert "no Dask scheduler answers" in result.output
-
-
 # --- Cadence, steps, asymmetry and variability of a recording; groups held against each other ---
 
 
@@ -234,15 +197,12 @@ def true_strides() -> dict[str, list[dict[str, float]]]:
 
 
 def test_a_recordings_row_says_what_the_truth_says(tmp_path: Path) -> None:
-    for suffix in (".parquet", ".toml"):
-        shutil.copy(TRIALS / f"{TRIAL}{suffix}", tmp_path / f"walk{suffix}")
+    lay(tmp_path, "walk")
     sidecar = tmp_path / "walk.toml"
     text = sidecar.read_text(encoding="utf-8")
     sidecar.write_text(text.replace("[extra]", '[extra]\ngroup = "after"'), encoding="utf-8")
-    store = Store(str(tmp_path / "out"))
-    store.prepare({})
-    (source,) = find_sources([str(tmp_path / "walk.parquet")])
-    assert analyse_one(source, store, Settings()).status == DONE
+    store, outcome = analysed(tmp_path / "walk.parquet", tmp_path / "out")
+    assert outcome.status == DONE
     (row,) = store.table(RECORDINGS, store.finished()).to_pylist()
     true = true_strides()
     contacts = sorted(stride["t_loading_response_s"] for own in true.values() for stride in own)
@@ -300,8 +260,7 @@ def test_effect_and_adjusted_p_by_hand() -> None:
 
 
 def test_the_page_shows_groups_and_every_measure(tmp_path: Path) -> None:
-    store = Store(str(tmp_path))
-    store.prepare({})
+    store = new_store(tmp_path)
     for each in cohort():
         known = {"source": f"/x/{each['recording']}.csv", "name": each["recording"], "status": DONE, "duration_s": 60.0}
         stride = {"recording": each["recording"], "subject": each["subject"], "foot": "left_foot", "valid": True}
@@ -325,10 +284,8 @@ def test_feet_with_clocks_of_their_own_are_brought_together(tmp_path: Path) -> N
     write_recording(replace(recording, tracks=tracks), path)
     rows = {}
     for sync in (False, True):
-        store = Store(str(tmp_path / f"out_{sync}"))
-        store.prepare({})
-        (source,) = find_sources([str(path)])
-        assert analyse_one(source, store, Settings(sync_clocks=sync)).status == DONE
+        store, outcome = analysed(path, tmp_path / f"out_{sync}", sync_clocks=sync)
+        assert outcome.status == DONE
         (rows[sync],) = store.table(RECORDINGS, store.finished()).to_pylist()
     assert rows[False]["step_time_symmetry_percent"] > 40.0
     assert rows[True]["step_time_symmetry_percent"] < 12.0

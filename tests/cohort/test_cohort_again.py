@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 from processes import gone_after_s
 from pyarrow import parquet
+from test_cohort import analysed, new_store
 
 from fes.cli import main
 from fes.cohort.store import (
@@ -33,7 +34,7 @@ from fes.cohort.store import (
     program,
 )
 from fes.cohort.sweep.task import TRUTH_FILES
-from fes.cohort.task import DONE, FAILED, Settings, analyse_one, drop_replaced
+from fes.cohort.task import DONE, FAILED, Analysis, Settings, drop_replaced
 
 TRIAL = Path(__file__).parents[2] / "sim_inputs" / "both_feet_100hz.parquet"
 SECOND = "other.parquet"
@@ -170,11 +171,12 @@ def test_a_recordings_further_files_are_fetched_too(tmp_path: Path) -> None:
     strides = []
     for number, place in enumerate((str(folder), "memory://again", f"zip://deep/walk.parquet::{archive}")):
         (source,) = [each for each in find_sources([place]) if each.path.stem == "walk"]
-        store = Store(f"memory://again_results{number}")
-        store.prepare({})
-        outcome = analyse_one(source, store, Settings())
+        store = new_store(f"memory://again_results{number}")
+        outcome = Analysis(store, source, Settings()).done()
         assert outcome.status == DONE, outcome.reason
         rows = store.table(STRIDES, store.finished()).to_pylist()
+        assert len(rows) > 20
+        assert len(store.table(EVENTS, store.finished()))
         strides.append([{**row, "recording": "", "subject": ""} for row in rows])
     assert {row["foot"] for row in strides[0]} == {"left_foot", "right_foot"}
     assert strides[0] == strides[1] == strides[2]
@@ -211,30 +213,21 @@ def test_nothing_is_written_where_a_sidecar_wants_it(tmp_path: Path, name: str) 
 
 def test_what_was_done_anew_replaces_what_was_there(tmp_path: Path) -> None:
     """The folder is read as one table by others: no recording may be in it twice; nobody else's may go."""
-    folder, store = two_files(tmp_path / "a"), Store(str(tmp_path / "out"))
-    store.prepare({})
+    folder = two_files(tmp_path / "a")
+    store, _ = analysed(folder, tmp_path / "out")
     sources = find_sources([str(folder)])
-    analyse_one(sources[0], store, Settings())
     store.put("others", {RECORDINGS: [{"recording": "others", "source": "file:///elsewhere", "status": FAILED}]})
     assert drop_replaced(store, sources, Settings()) == 0
     (folder / "walk.toml").write_text((folder / "walk.toml").read_text(encoding="utf-8") + "\n", encoding="utf-8")
     sources = find_sources([str(folder)])
     assert drop_replaced(store, sources, Settings()) == 0, "not done anew yet"
-    analyse_one(sources[0], store, Settings())
+    Analysis(store, sources[0], Settings()).done()
     assert drop_replaced(store, sources, Settings()) == 1
     assert store.finished() == {"others", sources[0].identity(Settings().text())}
     for table in (STRIDES, EVENTS):
         assert len(list((tmp_path / "out" / table).iterdir())) == 1
         whole = parquet.read_table(tmp_path / "out" / table)
         assert set(whole["recording"].to_pylist()) == {sources[0].identity(Settings().text())}
-
-
-def test_a_name_without_bytes_is_not_finished(tmp_path: Path) -> None:
-    """As a power cut may leave it."""
-    store = Store(str(tmp_path))
-    store.prepare({})
-    (tmp_path / RECORDINGS / "one.parquet").touch()
-    assert store.finished() == set()
 
 
 def group_of(leader: int) -> list[int]:
@@ -291,10 +284,8 @@ def test_after_a_kill_of_everything_only_the_rest_is_done(tmp_path: Path) -> Non
 def test_a_folder_that_lets_nothing_go_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As one without rights: no fault of the program, and in words."""
     folder, out = two_files(tmp_path / "a"), tmp_path / "out"
-    store = Store(str(out))
-    store.prepare({})
+    store, _ = analysed(folder, out)
     (source,) = find_sources([str(folder)])
-    analyse_one(source, store, Settings())
     store.put("old", {RECORDINGS: [{"recording": "old", "source": source.url, "status": DONE}]})
 
     def refused(_: Store, __: object) -> None:

@@ -4,41 +4,35 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
+from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from distributed import Client, LocalCluster
 from pyarrow import parquet
+from test_cohort import analysed, lay, new_store
 
 from fes.cli import main
 from fes.cli.common import STOPPED, UNUSABLE
-from fes.cohort.engine import Task, cluster, ended_after, run_tasks
+from fes.cohort.engine import cluster, ended_after, run_tasks
 from fes.cohort.page import write_pages
 from fes.cohort.store import RECORDINGS, STRIDES, CohortError, Source, Store, find_sources
 from fes.cohort.sweep.grid import combinations_of, parse_axis
-from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
+from fes.cohort.task import DONE, FAILED, Outcome, Rows, Task
 from fes.recording import RecordingError
 from fes.recording.sidecar import load_sidecar
 
 TRIALS = Path(__file__).parents[2] / "sim_inputs"
-
-
-def lay(folder: Path, name: str) -> Path:
-    """A copy of a bundled trial with its sidecar."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for suffix in (".parquet", ".toml"):
-        shutil.copy(TRIALS / f"both_feet_100hz{suffix}", folder / f"{name}{suffix}")
-    return folder
 
 
 @pytest.mark.parametrize(
@@ -49,17 +43,15 @@ def test_a_name_of_any_kind_is_analysed_and_told(tmp_path: Path, name: str) -> N
 
     Parquet files of such a name cannot be opened; that is then the reason.
     """
-    folder, store = lay(tmp_path / name, name), Store(str(tmp_path / "out"))
+    folder = lay(tmp_path / name, name)
+    store, outcome = analysed(folder, tmp_path / "out", subject_from="([^/]+)/[^/]*$")
     store.prepare({"recordings": [str(folder)]})
-    (source,) = find_sources([str(folder)])
-    outcome = analyse_one(source, store, Settings(subject_from="([^/]+)/[^/]*$"))
     if name.isprintable():
         assert outcome.status == DONE, outcome.reason
     else:
         assert "walk" in outcome.reason
     (folder / f"{name}.parquet").write_bytes(b"PAR1 torn")
-    (torn,) = find_sources([str(folder)])
-    assert analyse_one(torn, store, Settings()).status == FAILED
+    assert analysed(folder, tmp_path / "out")[1].status == FAILED
     page = Path(write_pages(store, store.finished())).read_text(encoding="utf-8")
     assert "<script>" not in page
     assert len(list((tmp_path / "out" / "subjects").iterdir())) == len(
@@ -125,10 +117,7 @@ def test_a_storage_with_errors_of_its_own_is_told(monkeypatch: pytest.MonkeyPatc
 
 def test_a_damaged_part_is_named_with_what_to_do(tmp_path: Path) -> None:
     folder, out = lay(tmp_path / "a", "walk"), tmp_path / "out"
-    store = Store(str(out))
-    store.prepare({})
-    (source,) = find_sources([str(folder)])
-    analyse_one(source, store, Settings())
+    analysed(folder, out)
     (part,) = (out / RECORDINGS).iterdir()
     part.write_bytes(part.read_bytes()[:-9])
     result = CliRunner().invoke(main, ["cohort", str(folder), "--out", str(out)])
@@ -139,8 +128,7 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path: Path) -> None:
 def test_a_bit_that_fell_over_in_a_part_is_no_number(tmp_path: Path) -> None:
     """Half of such bits gave other numbers without a word; others an error that named no part."""
     rows = [{"recording": "r", "subject": "s", "number": k, "speed_mps": 1.0 + 0.001 * k} for k in range(300)]
-    store = Store(str(tmp_path))
-    store.prepare({})
+    store = new_store(tmp_path)
     store.put("r", {STRIDES: rows, RECORDINGS: [{"recording": "r"}]})
     part, whole = tmp_path / STRIDES / "r.parquet", store.table(STRIDES, ["r"])
     good, pages = part.read_bytes(), parquet.read_metadata(part).row_group(0)
@@ -154,8 +142,7 @@ def test_a_bit_that_fell_over_in_a_part_is_no_number(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_left_no_fuller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(str(tmp_path))
-    store.prepare({})
+    store = new_store(tmp_path)
 
     def half(path: Path, data: memoryview) -> int:
         with path.open("wb") as file:
@@ -171,10 +158,7 @@ def test_a_full_disk_is_left_no_fuller(tmp_path: Path, monkeypatch: pytest.Monke
 def test_results_that_another_run_took_away_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two runs at once with other settings in one folder; the one whose results were replaced said all was well."""
     folder, out = lay(tmp_path / "a", "walk"), tmp_path / "out"
-    store = Store(str(out))
-    store.prepare({})
-    (source,) = find_sources([str(folder)])
-    analyse_one(source, store, Settings())
+    analysed(folder, out)
 
     def other_run(mine: Store, *_: object) -> int:
         mine.remove(mine.finished())
@@ -222,20 +206,45 @@ def test_ctrl_c_is_for_the_process_that_was_asked(capfd: pytest.CaptureFixture[s
     assert "KeyboardInterrupt" not in capfd.readouterr().err  # Dask may trace what ends late, on a busy machine
 
 
-def lost(key: str) -> Callable[[str], Outcome]:
-    return lambda reason: Outcome(key, key, FAILED, reason)
+@dataclass(frozen=True)
+class Numbered(Task):
+    """A task that keeps nothing; ``does`` what is asked of it with its number."""
+
+    number: int
+    does: Callable[[int], object]
+
+    @property
+    def key(self) -> str:
+        return str(self.number)
+
+    name = key
+
+    def tables(self) -> Rows:
+        raise NotImplementedError
+
+    def row(self, status: str, reason: str = "") -> dict[str, Any]:
+        raise NotImplementedError
+
+    def done(self) -> Outcome:
+        self.does(self.number)
+        return Outcome(self.key, self.key, DONE)
+
+    def failed(self, reason: str) -> Outcome:
+        return Outcome(self.key, self.key, FAILED, reason)
 
 
-def strange(key: str) -> Outcome:
+def numbered(numbers: Iterable[int], does: Callable[[int], object]) -> list[Numbered]:
+    return [Numbered(Store("place"), number, does) for number in numbers]
+
+
+def strange(number: int) -> None:
     """Ends with an error of no kind that anybody foresaw, on every third."""
-    if int(key) % 3 == 0:
-        raise LookupError(f"strange {key}")
-    return Outcome(key, key, DONE)
+    if number % 3 == 0:
+        raise LookupError(f"strange {number}")
 
 
-def waits(key: str) -> Outcome:
+def waits(_: int) -> None:
     threading.Event().wait(0.05)
-    return Outcome(key, key, DONE)
 
 
 @pytest.fixture
@@ -247,29 +256,25 @@ def threads() -> Iterator[Client]:
 
 
 def test_an_error_nobody_foresaw_costs_one_task_only(threads: Client) -> None:
-    keys = [str(number) for number in range(40)]
-    tasks = [Task(key, strange, (key,), lost(key)) for key in keys]
-    found = {outcome.identity: outcome for outcome in run_tasks(threads, tasks, "place", lambda _: None)}
-    assert sorted(found) == sorted(keys)
+    outcomes = run_tasks(threads, numbered(range(40), strange), lambda _: None)
+    found = {outcome.identity: outcome for outcome in outcomes}
+    assert sorted(found) == sorted(map(str, range(40)))
     for key, outcome in found.items():
         assert outcome.status == (DONE if int(key) % 3 else FAILED)
         assert outcome.reason == ("" if int(key) % 3 else f"LookupError: strange {key}")
 
 
-def hangs(key: str) -> Outcome:
+def hangs(number: int) -> None:
     """Where no other thread gets a turn, as in a compiled loop; every fifth, else it is done."""
-    if int(key) % 5 == 0:
+    if number % 5 == 0:
         sum(repeat(0))
-    return Outcome(key, key, DONE)
 
 
 @pytest.mark.slow
 def test_what_hangs_is_ended_and_costs_nobody_else() -> None:
-    keys = [str(number) for number in range(1, 9)]
     with cluster(2, limit_s=2.0) as client:
-        tasks = [Task(key, hangs, (key,), lost(key)) for key in keys]
-        outcomes = run_tasks(client, tasks, "place", lambda _: None, limit_s=2.0)
-    assert sorted(outcome.identity for outcome in outcomes) == keys
+        outcomes = run_tasks(client, numbered(range(1, 9), hangs), lambda _: None, limit_s=2.0)
+    assert sorted(outcome.identity for outcome in outcomes) == [str(number) for number in range(1, 9)]
     assert {one.identity: one.reason for one in outcomes if one.status != DONE} == {"5": "took longer than 2 s"}
 
 
@@ -304,7 +309,6 @@ def test_the_limit_ends_what_lets_no_other_thread_have_a_turn() -> None:
 
 
 def test_a_scheduler_that_goes_away_is_told(threads: Client) -> None:
-    keys = [str(number) for number in range(200)]
     heard: list[Outcome] = []
 
     def tell(outcome: Outcome) -> None:
@@ -316,8 +320,8 @@ def test_a_scheduler_that_goes_away_is_told(threads: Client) -> None:
             loop.add_callback(own.close)
 
     with pytest.raises(CohortError, match=r"scheduler is gone.* are kept; run the same command again"):
-        run_tasks(threads, [Task(key, waits, (key,), lost(key)) for key in keys], "place", tell)
-    assert 3 <= len(heard) < len(keys)
+        run_tasks(threads, numbered(range(200), waits), tell)
+    assert 3 <= len(heard) < 200
 
 
 @pytest.mark.parametrize(

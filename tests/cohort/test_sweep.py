@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +16,14 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from fes.cli import main
-from fes.cohort.engine import Task, cluster, run_tasks
+from fes.cohort.engine import cluster, run_tasks
 from fes.cohort.store import CohortError, find_sources
-from fes.cohort.sweep.grid import (
-    Factor,
-    Point,
-    change_thresholds,
-    combinations_of,
-    parse_axis,
-    session_with,
-    swept_names,
-)
+from fes.cohort.sweep.grid import Point, change_thresholds, combinations_of, parse_axis, session_with, swept_names
 from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_page, sweep_store
-from fes.cohort.sweep.task import Bench, Patient, burst_scores, bursts_of, keep, patient_scores, truth_scores, try_one
+from fes.cohort.sweep.task import Bench, Patient, Trial, burst_scores, patient_scores, truth_scores
 from fes.cohort.task import DONE, FAILED, Outcome
 from fes.config import ConfigError, load_session
+from fes.evaluation.timing.marks import bursts_of
 from fes.signals import NS_PER_S, StimRequest
 from fes.simulation.truth import load_truth
 from statemachine.guards import Thresholds
@@ -76,7 +68,7 @@ def tuned(folder: Path) -> Path:
         ("stimulation.strides_before_start=1,2,2", (1, 2)),
         ("channels.tuning.gain=0.2:0.8:4", (0.2, 0.4, 0.6, 0.8)),
         ("channels.0.tuning.timing=true", (True,)),
-        ("thresholds.heel_rise_share=x0.8,0.5", (Factor(0.8), 0.5)),
+        ("thresholds.heel_rise_share=x0.8,0.5", ("x0.8", 0.5)),
     ],
 )
 def test_values_are_read_as_the_session_file_would(asked: str, values: tuple[object, ...]) -> None:
@@ -158,7 +150,7 @@ def test_a_combination_changes_what_it_names_and_nothing_else(tmp_path: Path) ->
 
 def test_thresholds_by_value_by_factor_and_of_the_wrong_kind() -> None:
     own = Thresholds(rest_share=0.1)
-    new = change_thresholds(own, {"rest_share": Factor(1.2), "shortest_swing_share": 0.2, "swing_at_reversal": True})
+    new = change_thresholds(own, {"rest_share": "x1.2", "shortest_swing_share": 0.2, "swing_at_reversal": True})
     assert new == own._replace(rest_share=0.12, shortest_swing_share=0.2, swing_at_reversal=True)
     for wrong in (
         {"shortest_swing_share": "soon"},
@@ -242,13 +234,13 @@ def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
     store.prepare({})
     tried = [
         Point(),
-        Point((("thresholds.heel_rise_share", Factor(1.0)),)),
+        Point((("thresholds.heel_rise_share", "x1"),)),
         Point(tuple((f"thresholds.{share}", 50.0) for share in ("push_off_share", "toe_up_share", "rest_share"))),
     ]
     tried.append(Point((("stimulation.strides_before_start", 0),)))
     tried.append(Point((("stimulation.strides_before_start", 20),)))
     for point in tried:
-        assert try_one(source, bench(), point, store).status == DONE
+        assert Trial(store, source, point, bench()).done().status == DONE
     by = {row["settings"]: row for row in store.table(RESULTS, store.finished()).to_pylist()}
     plain, same, never, soon, late = (by[point.text()] for point in tried)
     figures = [name for name in plain if name not in ("result", "combination", "settings")]
@@ -267,7 +259,7 @@ def test_a_patient_answers_to_the_settings_and_is_the_same_again(tmp_path: Path)
     settings = bench(tuned(tmp_path), 15.0)
     weak, strong = (Point((("channels.current_ma", current),)) for current in (10.0, 30.0))
     for point in (weak, strong):
-        assert try_one(Patient(1, 7), settings, point, store).status == DONE
+        assert Trial(store, Patient(1, 7), point, settings).done().status == DONE
     by = {row["settings"]: row for row in store.table(RESULTS, store.finished()).to_pylist()}
     assert by[weak.text()]["strides"] > 5
     assert by[weak.text()]["charge_uc"] < by[strong.text()]["charge_uc"]
@@ -311,6 +303,16 @@ def test_a_failing_combination_stops_nothing_and_what_is_finished_is_not_done_ag
     assert "torn.parquet" in (out / "index.html").read_text(encoding="utf-8")
 
 
+class Done(Trial):
+    def done(self) -> Outcome:
+        return Outcome(self.key, self.name, DONE)
+
+
+class Dies(Trial):
+    def done(self) -> Outcome:
+        os._exit(1)
+
+
 @pytest.mark.slow
 def test_what_kills_its_process_is_given_up_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fes.cohort.engine.DEATHS", 0)
@@ -319,28 +321,13 @@ def test_what_kills_its_process_is_given_up_alone(tmp_path: Path, monkeypatch: p
     store.prepare({})
     (source,) = find_sources([str(TRIAL)])
     told = [Point((("stimulation.intensity", 0.05 * number),)) for number in range(12)]  # the first go by themselves
-
-    def lost(point: Point, why: str) -> Outcome:
-        return keep(source, settings, point, store, FAILED, why, {})
-
-    tasks = [
-        Task(point.identity, _die if number == 9 else _done, (point.identity,), partial(lost, point))
-        for number, point in enumerate(told)
-    ]
+    tasks = [(Dies if number == 9 else Done)(store, source, point, settings) for number, point in enumerate(told)]
     with cluster(1) as client:
-        outcomes = run_tasks(client, tasks, str(tmp_path), lambda _: None)
+        outcomes = run_tasks(client, tasks, lambda _: None)
     assert sorted(outcome.status for outcome in outcomes) == [*[DONE] * 11, FAILED]
     (given_up,) = store.table(RESULTS, store.finished()).to_pylist()
     assert given_up["settings"] == told[9].text()
     assert "died" in given_up["reason"]
-
-
-def _die(_: str) -> Outcome:
-    os._exit(1)
-
-
-def _done(name: str) -> Outcome:
-    return Outcome(name, name, DONE)
 
 
 @pytest.mark.parametrize(

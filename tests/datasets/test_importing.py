@@ -241,14 +241,25 @@ def test_xio_drops_doubled_rows_and_keeps_the_stamps(tmp_path):
     assert "accelerometer in g" in imported("xio", tmp_path, "--out", tmp_path / "more", code=2)["error"]
 
 
-def test_broad_as_matlab(tmp_path):
+@pytest.mark.parametrize("form", ["mat", "hdf5"])
+def test_broad_as_matlab_and_as_hdf5(tmp_path, form):
     acc, gyr = samples()
     quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (N, 1))
     trial = {"imu_acc": acc, "imu_gyr": gyr, "opt_quat": quaternion, "opt_pos": np.zeros((N, 3))}
-    savemat(tmp_path / "01_still.mat", {**trial, "movement": np.ones(N), "sampling_rate": 285.714})
+    if form == "mat":
+        savemat(tmp_path / "01_still.mat", {**trial, "movement": np.ones(N), "sampling_rate": 285.714})
+    else:
+        h5py = pytest.importorskip("h5py", reason="pip install 'fes-gait[apdm]'")
+        with h5py.File(tmp_path / "01_still.hdf5", "w") as file:
+            for name, values in {**trial, "movement": np.ones(N, bool)}.items():
+                file[name] = values
+            file.attrs["sampling_rate"] = 285.714
     made = imported("broad", tmp_path, "--out", tmp_path / "out")["made"][0]
     assert "not a foot" in made["notes"][0]
-    assert Path(made["references"][0]).read_text().splitlines()[0] == "t_s,q_w,q_x,q_y,q_z,x_m,y_m,z_m,moving"
+    assert Path(made["references"][0]).read_text().splitlines()[:2] == [
+        "t_s,q_w,q_x,q_y,q_z,x_m,y_m,z_m,moving",
+        "0,1,0,0,0,0,0,0,1",
+    ]
 
 
 @pytest.mark.parametrize(

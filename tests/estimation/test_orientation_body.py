@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import struct
-import zlib
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -438,14 +436,3 @@ def test_a_trial_judges_what_may_be_judged(sets: ModuleType) -> None:
 
 def test_without_recordings_there_are_no_trials(sets: ModuleType, tmp_path: Path) -> None:
     assert sets.broad(tmp_path) == sets.gaitmap_pitch(tmp_path) == []
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"\x89HDF\r\n\x1a\n\x02" + bytes(100), b"time,x\n0,1\n", zlib.compress(b"x") + struct.pack("<Q", 8)],
-)
-def test_other_files_are_refused_by_name(sets: ModuleType, tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "trial.hdf5"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"trial\.hdf5"):
-        sets.OldHdf5(path)

@@ -26,7 +26,7 @@ from fes.cli import analyse as cli_analyse
 from fes.cli.main import main
 from fes.cli.show import TableFile, write_table
 from fes.recording import Recording, RecordingError, read, read_recording, write_recording
-from fes.recording.chunks import Chunk, cut_into_chunks, keep_freed_memory, recording_chunks
+from fes.recording.chunks import cut_into_chunks, recording_chunks
 from fes.recording.read import follow_recording
 
 TRIAL = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_100hz.parquet"
@@ -248,13 +248,3 @@ def test_statistics_put_together_are_those_of_all(one, other):
     assert found.n == expected.n
     assert found.mean == pytest.approx(expected.mean, rel=1e-9, abs=1e-9, nan_ok=True)
     assert found.sd == pytest.approx(expected.sd, rel=1e-6, abs=1e-6, nan_ok=True)
-
-
-def test_a_whole_recording_is_a_piece_of_its_own(walk):
-    piece = Chunk(walk[0])
-    assert piece.whole
-    assert piece.own(walk[0].tracks["left_foot"]) == slice(None)
-
-
-def test_freed_memory_can_be_kept_or_not():
-    assert keep_freed_memory() in (True, False)

@@ -195,10 +195,6 @@ def test_a_track_refuses_wrong_shapes() -> None:
     assert made.acc_mps2.flags.c_contiguous
 
 
-def test_duration() -> None:
-    assert walk(seconds=4.0).duration_s == pytest.approx(3.99)
-
-
 plain = st.one_of(
     st.booleans(),
     st.integers(-(2**63), 2**63 - 1),

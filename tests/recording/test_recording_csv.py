@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from test_recording import walk
 
 from fes.cli.main import main
+from fes.datasets import read_file
 from fes.recording import (
     Recording,
     RecordingError,
@@ -249,28 +250,13 @@ def stroke_walks() -> list[Path]:
     return sorted((DATA / "stroke_treadmill").glob("*.npz"))
 
 
-def stroke_recording(path: Path) -> Recording:
-    content = np.load(path)
-    rate_hz = float(content["fs"])
-    tracks = {}
-    for key in content.files:
-        if not key.startswith("acc_"):
-            continue
-        sensor = key[4:].replace("left", "left_").replace("right", "right_")
-        acc = np.ascontiguousarray(content[key], dtype=np.float64)
-        gyr = np.ascontiguousarray(content[f"gyr_{key[4:]}"], dtype=np.float64)
-        stamps = np.rint(np.arange(len(acc)) * (1e9 / rate_hz)).astype(np.int64)
-        tracks[sensor] = Track(sensor, rate_hz, stamps, stamps, acc, gyr)
-    return Recording(path.stem, None, tracks)
-
-
 @needs_data
 @pytest.mark.data
 def test_walks_of_stroke_survivors_pass_on_feet_and_shanks(tmp_path: Path) -> None:
     walks = stroke_walks()
     assert walks
     for number, one in enumerate(walks):
-        recording = stroke_recording(one)
+        recording = read_file("stroke_treadmill", one).recording
         path = tmp_path / f"{number}.parquet"
         write_recording(recording, path)
         read = read_recording(path)
@@ -291,7 +277,7 @@ def test_walks_of_stroke_survivors_pass_on_feet_and_shanks(tmp_path: Path) -> No
 def test_wrong_units_of_real_walks_are_refused(tmp_path: Path, old: str, new: str, fix: str) -> None:
     for number, one in enumerate(stroke_walks()[:4]):
         path = tmp_path / f"{number}.parquet"
-        write_recording(stroke_recording(one), path)
+        write_recording(read_file("stroke_treadmill", one).recording, path)
         sidecar = path.with_suffix(".toml")
         sidecar.write_text(sidecar.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
         with pytest.raises(RecordingError, match=fix):
@@ -301,8 +287,7 @@ def test_wrong_units_of_real_walks_are_refused(tmp_path: Path, old: str, new: st
 @needs_data
 @pytest.mark.data
 @pytest.mark.parametrize(
-    ("name", "rate_hz", "feet"),
-    [("gaitmap_walk/imu_sample.csv", 204.8, 2), ("xio_walk/short_walk.csv", 398.3, 1)],
+    ("name", "rate_hz", "feet"), [("gaitmap_walk/imu_sample.csv", 204.8, 2), ("xio_walk/short_walk.csv", 398.3, 1)]
 )
 def test_files_as_their_makers_left_them_read_with_the_template(
     tmp_path: Path, name: str, rate_hz: float, feet: int

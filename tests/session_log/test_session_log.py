@@ -195,21 +195,6 @@ def test_nan_survives(tmp_path: Path) -> None:
     assert math.isnan(read_session(tmp_path / "log").strides[0].toe_clearance_m)
 
 
-def test_events_keep_their_order_around_samples(tmp_path: Path) -> None:
-    what: list[tuple[Any, ...]] = []
-    for number in range(300):
-        what.append(
-            ("event", ImuSample(number * 10, SENSORS[number % 4], number * 10 - 3, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
-        )
-        if number % 7 == 0:
-            what.append(("event", Tick(number * 10 + 1)))
-            what.append(("command", StimCommand(number * 10, 0, True, 12.5, 300.0, 40.0, 60), WireFrame(1, 2, b"3")))
-        if number % 50 == 0:
-            what.append(("event", OperatorAct(number * 10 + 2, OperatorAction.ARM)))
-    write(tmp_path / "log", what)
-    assert list(iter_events(tmp_path / "log")) == of(what, "event")
-
-
 def test_an_hour_of_two_sensors_at_500_hz_stays_under_200_mb(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     seconds = 10
@@ -366,18 +351,3 @@ def test_header_and_summary_must_be_plain_data(tmp_path: Path) -> None:
 def test_a_note_has_a_known_severity() -> None:
     with pytest.raises(ValueError, match="'bad' is none of info, warning, fault"):
         Note(1, "bad", "x", "y")
-
-
-def test_every_event_type_has_a_record(tmp_path: Path) -> None:
-    """A field added to a signal without the log knowing would be lost in silence: compare all fields."""
-    full = [
-        ImuSample(11, "right_shank", 12, (1.5, 2.5, 3.5), (4.5, 5.5, 6.5)),
-        OperatorAct(13, OperatorAction.SET_INTENSITY, 0.75),
-        StimStatus(14, 3, 5, True, 20.1, 301.0, 41.0, 7, 6.3, "electrode"),
-        StimAlive(15, 77, 9, "hot"),
-        Tick(16),
-    ]
-    write(tmp_path / "log", [("event", value) for value in full])
-    for read, value in zip(iter_events(tmp_path / "log"), full, strict=True):
-        assert type(read) is type(value)
-        assert read == value

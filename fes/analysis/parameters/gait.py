@@ -34,7 +34,7 @@ from fes.analysis.tables import Table, join_tables, table_of
 from fes.estimation.clearance.clearance import FootArms, FootPaths, arms_of
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.estimation.strides.schema import Column
-from fes.recording.at_once import at_once
+from fes.recording.chunks import at_once
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, IntArray, StrideResult
 from fes.walk_record import finite_or_none
 

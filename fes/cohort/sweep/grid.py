@@ -30,19 +30,10 @@ FIXED: Final = ("name", "number", "foot", "muscle", "electrode_area_cm2", "never
 THRESHOLDS: Final = "thresholds"
 MOST: Final = 100_000  # combinations; more is a slip, or needs --sample
 MOST_VALUES: Final = 10_000
+_FACTOR: Final = re.compile(r"x(\d+(?:\.\d+)?(?:e[+-]\d+)?)")
 _RANGE: Final = re.compile(r"([^:]+):([^:]+):(\d+)")
 
 Value = bool | int | float | str
-
-
-@dataclass(frozen=True, slots=True)
-class Factor:
-    """Times what it would be."""
-
-    times: float
-
-    def __str__(self) -> str:
-        return f"x{self.times:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,23 +41,18 @@ class Axis:
     """One setting and the values to try."""
 
     name: str
-    values: tuple[Value | Factor, ...]
+    values: tuple[Value, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One combination: settings by name; empty for the session as it is."""
+    """One combination: settings by name, as the session file has them; empty for the session as it is."""
 
-    values: tuple[tuple[str, Value | Factor], ...] = ()
-
-    @property
-    def plain(self) -> dict[str, Value]:
-        """For tables and JSON; a factor as its text."""
-        return {name: str(value) if isinstance(value, Factor) else value for name, value in self.values}
+    values: tuple[tuple[str, Value], ...] = ()
 
     def text(self) -> str:
         """The same for the same combination, whatever the order it was asked in."""
-        return json.dumps(self.plain, sort_keys=True)
+        return json.dumps(dict(self.values), sort_keys=True)
 
     @property
     def identity(self) -> str:
@@ -82,7 +68,7 @@ def parse_axis(asked: str) -> Axis:
         raise CohortError(f"--set {asked}: write NAME=VALUE,VALUE,… or NAME=LOW:HIGH:COUNT.")
     _check_name(name)
     found = tuple(dict.fromkeys(each for part in values.split(",") for each in _values(asked, part.strip())))
-    factor = next((each for each in found if isinstance(each, Factor)), None)
+    factor = next((each for each in found if times_of(each) is not None), None)
     if factor is not None and not name.startswith(f"{THRESHOLDS}."):
         raise CohortError(f"--set {asked}: {factor} is for {THRESHOLDS}; write the value itself.")
     return Axis(name, found)
@@ -101,7 +87,7 @@ def combinations_of(axes: Sequence[Axis], sample: int | None = None, seed: int =
         raise CohortError(f"{sample or total} combinations are more than {MOST}; give fewer values, or --sample N.")
     if sample is not None and total > sys.maxsize:
         raise CohortError(f"{total} combinations are too many to draw from; give fewer values.")
-    chosen: Iterable[tuple[Value | Factor, ...]] = itertools.product(*(each.values for each in axes))
+    chosen: Iterable[tuple[Value, ...]] = itertools.product(*(each.values for each in axes))
     if sample is not None and sample < total:  # without laying the grid out
         chosen = (_nth(axes, number) for number in sorted(random.Random(seed).sample(range(total), sample)))
     return [Point(), *(Point(tuple(zip(names, values, strict=True))) for values in chosen)]
@@ -135,23 +121,24 @@ def session_with(base: Session, point: Point, path: Path) -> Session:
     return validate_session(data, path)
 
 
-def thresholds_of(point: Point) -> dict[str, Value | Factor]:
+def thresholds_of(point: Point) -> dict[str, Value]:
     """The guards' thresholds that a combination changes, by name."""
     named = (name.partition(".") for name, _ in point.values)
     return {name: value for (root, _, name), (_, value) in zip(named, point.values, strict=True) if root == THRESHOLDS}
 
 
-def change_thresholds(thresholds: Thresholds, changes: dict[str, Value | Factor]) -> Thresholds:
+def change_thresholds(thresholds: Thresholds, changes: dict[str, Value]) -> Thresholds:
     """Thresholds with a combination's. CohortError: a value is not of the threshold's kind."""
     try:
-        return changed_thresholds(thresholds, {name: as_setting(value) for name, value in changes.items()})
+        return changed_thresholds(thresholds, changes)
     except ValueError as error:
         raise CohortError(str(error)) from error
 
 
-def as_setting(value: Value | Factor) -> Value:
-    """A value as the session file has it."""
-    return str(value) if isinstance(value, Factor) else value
+def times_of(value: Value) -> float | None:
+    """1.2 of ``x1.2``, that is 1.2 times what it would be; None of any other value."""
+    found = _FACTOR.fullmatch(value) if isinstance(value, str) else None
+    return float(found[1]) if found else None
 
 
 def swept_names() -> list[str]:
@@ -175,14 +162,14 @@ def _check_name(name: str) -> None:
     raise CohortError(f"--set {name}: is no setting that can be swept. Nearest: {best}. `fes sweep --names` lists all.")
 
 
-def _values(asked: str, part: str) -> list[Value | Factor]:
+def _values(asked: str, part: str) -> list[Value]:
     if found := _RANGE.fullmatch(part):
         low, high, count = (_number(asked, text) for text in found.groups())
         if not 2 <= count <= MOST_VALUES:
             raise CohortError(f"--set {asked}: COUNT of {part} must be 2 to {MOST_VALUES}.")
         return [float(f"{low + (high - low) * k / (count - 1):.12g}") for k in range(int(count))]
     if re.fullmatch(r"x[\d.]+(e-?\d+)?", part):
-        return [Factor(_number(asked, part[1:]))]
+        return [f"x{_number(asked, part[1:]):g}"]
     if not part:
         raise CohortError(f"--set {asked}: a value between two commas is missing.")
     try:
@@ -204,7 +191,7 @@ def _number(asked: str, text: str) -> float:
     return value
 
 
-def _nth(axes: Sequence[Axis], number: int) -> tuple[Value | Factor, ...]:
+def _nth(axes: Sequence[Axis], number: int) -> tuple[Value, ...]:
     chosen = []
     for each in reversed(axes):
         number, at = divmod(number, len(each.values))

@@ -9,30 +9,25 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from fes.cohort.store import Measure, Store
-from fes.cohort.sweep.grid import Axis, Factor
+from fes.cohort.store import Measure, Store, columns_of
+from fes.cohort.sweep.grid import Axis, times_of
 from fes.cohort.task import DONE
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.html import rendered, trusted
 from fes.signals import FloatArray
 
 RESULTS: Final = "results"
-_TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
-_COUNTS: Final = (
-    *("strides", "valid_strides", "four_phases", "marks", "missed", "extra", "off", "bursts", "swings_without"),
-    *("bursts_without", "reached_after", "dragged", "stumbled", "roll_backs", "latched"),
-)
-_NUMBERS: Final = (
-    *("stride_time_s", "stride_length_m", "error_ms", "error_p95_ms", "foot_off_error_ms", "contact_error_ms"),
-    *("stride_length_rmse_m", "in_band", "in_band_later", "charge_uc"),
+_COUNTS: Final = columns_of(
+    pa.int64(),
+    "strides valid_strides four_phases marks missed extra off bursts swings_without bursts_without reached_after "
+    "dragged stumbled roll_backs latched",
 )
 SCHEMAS: Final[Mapping[str, pa.Schema]] = {
     RESULTS: pa.schema(
-        [
-            *[(n, _TEXT) for n in ("result", "combination", "settings", "on", "status", "reason", "fes_version")],
-            *[(name, _COUNT) for name in _COUNTS],
-            *[(name, _NUMBER) for name in _NUMBERS],
-        ]
+        columns_of(pa.string(), "result combination settings on status reason fes_version")
+        + _COUNTS
+        + columns_of(pa.float64(), "stride_time_s stride_length_m error_ms error_p95_ms foot_off_error_ms")
+        + columns_of(pa.float64(), "contact_error_ms stride_length_rmse_m in_band in_band_later charge_uc")
     )
 }
 AGAINST_TRUTH: Final = (
@@ -68,7 +63,7 @@ ON_PATIENTS: Final = (
     Measure("roll_backs", "rolled back", digits=0),
     Measure("latched", "stopped by the gate", digits=0),
 )
-_SUMS: Final = frozenset(_COUNTS) - {"reached_after"}
+_SUMS: Final = frozenset(name for name, _ in _COUNTS) - {"reached_after"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +255,7 @@ def _by_setting(axes: Sequence[Axis], found: Sequence[Combination], measures: Se
 
 def _places(axis: Axis) -> tuple[FloatArray, str]:
     """Where an axis's values lie, and its name; words lie side by side, under names of their own ("")."""
-    times = [value.times for value in axis.values if isinstance(value, Factor)]
+    times = [times for value in axis.values if (times := times_of(value)) is not None]
     if len(times) == len(axis.values):
         return np.array(times), f"{axis.name}, times what calibration gives"
     numbers = [value for value in axis.values if isinstance(value, (int, float)) and not isinstance(value, bool)]

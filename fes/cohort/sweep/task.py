@@ -9,24 +9,24 @@ import hashlib
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache, partial
-from itertools import product
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fes import __version__
-from fes.cohort.engine import Task
-from fes.cohort.store import CohortError, Source, Store, local_copy, program
-from fes.cohort.sweep.grid import Factor, Point, Value, change_thresholds, session_with, thresholds_of
+from fes.cohort.store import CohortError, Source, local_copy, program
+from fes.cohort.sweep.grid import Point, Value, change_thresholds, session_with, thresholds_of
 from fes.cohort.sweep.table import RESULTS
-from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
+from fes.cohort.task import DONE, Rows, Task
 from fes.config import Ground, Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.evaluation.timing.marks import (
     TRUTH_TOLERANCE_MS,
     WINDOW_MS,
+    Burst,
+    bursts_of,
     marks_of_phases,
     marks_of_truth,
     pair_times,
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 BAND_M: Final = (0.010, 0.040)  # of true toe clearance: clear of the ground, and no higher than it must be
 SETTLED: Final = 10  # strides that tuning may take
 Scores = dict[str, float | int | None]
-Burst = tuple[int, int]  # from when on to when off, ns
 TRUTH_FILES: Final = (".truth.parquet", ".strides.csv", ".activities.csv")
 CREATED: Final = "2000-01-01T00:00:00+00:00"  # the same run, the same bytes
 ARM_AFTER_S: Final = 0.5
@@ -92,22 +91,6 @@ def truth_scores(
         "contact_error_ms": _median(ms for (_, what), own in errors.items() if what == "T3" for ms in own),
         "stride_length_rmse_m": float(np.sqrt(np.mean(length**2))) if length.size else None,
     }
-
-
-def bursts_of(requests: Iterable[tuple[int, StimRequest]]) -> dict[int, list[Burst]]:
-    """When each channel was asked to be on, by channel number, from requests by time."""
-    since: dict[int, int] = {}
-    found: dict[int, list[Burst]] = {}
-    last_ns = 0
-    for t_ns, request in requests:
-        last_ns = t_ns
-        if request.on:
-            since.setdefault(request.channel, t_ns)
-        elif request.channel in since:
-            found.setdefault(request.channel, []).append((since.pop(request.channel), t_ns))
-    for channel, begin_ns in since.items():
-        found.setdefault(channel, []).append((begin_ns, last_ns))
-    return found
 
 
 def burst_scores(bursts: dict[int, list[Burst]], foot_of: dict[int, str], truth: Truth | None) -> Scores:
@@ -200,44 +183,41 @@ class Patient:
 Case = Source | Patient
 
 
-def sweep_tasks(cases: Iterable[Case], points: Sequence[Point], bench: Bench, store: Store) -> dict[str, Task]:
-    """Every combination on every case, by its result's name; those of one case, which a worker reads once, together."""
-    tasks = {}
-    for case, point in product(cases, points):
-        lost = partial(keep, case, bench, point, store, FAILED)
-        key = bench.identity(case, point)
-        tasks[key] = Task(key, try_one, (case, bench, point, store), lost)
-    return tasks
+@dataclass(frozen=True)
+class Trial(Task):
+    """One combination on one case; a worker reads a case once where its trials come one after the other."""
 
+    case: Case
+    point: Point
+    bench: Bench
 
-def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
-    """Try a combination and keep its row; what is wrong with it, or with the recording, is kept as its reason.
+    @property
+    def key(self) -> str:
+        """The same for the same case, session, settings and program."""
+        return self.bench.identity(self.case, self.point)
 
-    OSError: the results cannot be kept; it counts as not done.
-    """
-    try:
-        scores = _on_patient(case, bench, point) if isinstance(case, Patient) else _on_recording(case, bench, point)
-    except Exception as error:  # one bad combination, however bad, must not stop the others
-        return keep(case, bench, point, store, FAILED, reason_of(error))
-    return keep(case, bench, point, store, DONE, scores=scores)
+    @property
+    def name(self) -> str:
+        """The settings, and what they are tried on."""
+        return f"{self.point.text()} on {self.case.url}"
 
+    def row(self, status: str, reason: str = "") -> dict[str, Any]:
+        """What was tried on what."""
+        row = {"result": self.key, "combination": self.point.identity, "settings": self.point.text()}
+        return row | {"on": self.case.url, "status": status, "reason": reason, "fes_version": __version__}
 
-def keep(
-    case: Case, bench: Bench, point: Point, store: Store, status: str, reason: str = "", scores: Scores | None = None
-) -> Outcome:
-    """Keep a row."""
-    identity = bench.identity(case, point)
-    row = {"result": identity, "combination": point.identity, "settings": point.text(), "on": case.url}
-    row |= {"status": status, "reason": reason[:LONGEST_REASON], "fes_version": __version__}
-    store.put(identity, {RESULTS: [row | (scores or {})]})
-    return Outcome(identity, f"{point.text()} on {case.url}", status, reason)
+    def tables(self) -> Rows:
+        """Its scores."""
+        case, what = self.case, (self.bench, self.point)
+        scores = _on_patient(case, *what) if isinstance(case, Patient) else _on_recording(case, *what)
+        return {RESULTS: [self.row(DONE) | scores]}
 
 
 @dataclass(frozen=True, slots=True)
 class SweptFoot(FootCalibration):
     """A calibration whose thresholds a combination changes."""
 
-    changes: tuple[tuple[str, Value | Factor], ...] = ()
+    changes: tuple[tuple[str, Value], ...] = ()
 
     def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
         """This person's, changed."""

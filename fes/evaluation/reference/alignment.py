@@ -1,19 +1,13 @@
 """A reference brought to the recording's clock and to the belt's frame.
 
-The clocks are compared by what both saw: contacts and foot-offs, or a foot's speed. Where the lag is fitted to the very
-events that are then judged, their mean error says nothing any more: the result says so, and SD, durations and lengths
-are what is left to judge.
+The clocks are compared by what both saw: a foot's speed, contacts and foot-offs. Walking repeats itself, so that a lag
+one stride off looks nearly as good as the right one: a lag is only believed where the signals are alike, the next best
+lag is clearly worse, and both halves of the recording say the same. Where it is fitted to the very events that are then
+judged, their mean error says nothing any more, and the result says so.
 
-From the laboratory's frame to the belt's: Negård et al. (2005), Eq. (21), ``p_belt = p_lab + v t`` along the walk.
-While a foot stands on a belt, it moves backward with it; the walking direction is therefore the horizontal axis along
-which the standing foot loses ``v t``. It is found from the marker itself, and the speed that is left to it
+From the laboratory's frame to the belt's: Negård et al. (2005), Eq. (21), ``p_belt = p_lab + v t`` along the walk. The
+walking direction is the horizontal axis along which the standing foot loses ``v t``; the speed that is left to it
 afterwards tells whether direction and speed were right.
-
-How far two clocks are apart: the lag at which two signals look most alike, and whether that can be believed.
-
-Walking repeats itself, so that a wrong lag, one stride off, looks nearly as good as the right one. The lag is therefore
-only believed where the signals are alike, the next best lag is clearly worse, and both halves of the recording say the
-same.
 """
 
 from collections.abc import Sequence
@@ -307,16 +301,19 @@ def _lag(reference: Reference, estimate: Estimate, most_s: float) -> tuple[str, 
         ]
     )
     if true:
-        return "events", _refined(_by_trains(true, ours, most_s), true, ours)
+        return "events", _refined(lag_by_trains(true, ours, most_s), true, ours)
     starts = {foot: [s.t_start_s for s in reference.strides if s.foot == foot] for foot in estimate.feet}
     mine = {foot: np.array([1e-9 * s.t_start_ns for s in estimate.strides_of(foot)]) for foot in estimate.feet}
     true, ours = both([(starts[foot], mine[foot]) for foot in estimate.feet])
     if not true:
         raise ValueError("the reference holds no events, marker's path or strides near the recording's time")
-    return "strides", _by_trains(true, ours, most_s, width_s=0.1)
+    return "strides", lag_by_trains(true, ours, most_s, width_s=0.1)
 
 
-def _by_trains(true: list[FloatArray], ours: list[FloatArray], most_s: float, width_s: float = 0.03) -> Lag:
+def lag_by_trains(
+    true: Sequence[FloatArray], ours: Sequence[FloatArray], most_s: float, width_s: float = WIDTH_S
+) -> Lag:
+    """The lag of events by kind, each at times (N,) in s, none without any; errors as of :func:`find_lag`."""
     signals = []
     for parts in (true, ours):
         low, high = min(part.min() for part in parts), max(part.max() for part in parts)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fes.evaluation.reference.table import EVENTS, Reference, ReferenceStride
-from fes.evaluation.timing.marks import pair_times
+from fes.evaluation.timing.marks import foot_of_sensor, pair_times
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 
@@ -47,16 +47,11 @@ class Estimate:
     @property
     def feet(self) -> tuple[str, ...]:
         """The feet of which anything is known."""
-        return tuple(sorted({foot_of(stride.foot) for stride in self.strides} | set(self.events)))
+        return tuple(sorted({foot_of_sensor(stride.foot) for stride in self.strides} | set(self.events)))
 
     def strides_of(self, foot: str) -> list[StrideResult]:
         """One foot's strides by time, valid or not."""
-        return [stride for stride in self.strides if foot_of(stride.foot) == foot]
-
-
-def foot_of(sensor: str) -> str:
-    """The foot that a sensor tells of."""
-    return sensor.replace("_shank", "_foot")
+        return [stride for stride in self.strides if foot_of_sensor(stride.foot) == foot]
 
 
 def from_analysis(analysis: Analysis) -> Estimate:
@@ -69,7 +64,7 @@ def from_analysis(analysis: Analysis) -> Estimate:
         times, angles = (told[name][told["foot"] == foot] for name in ("t_initial_contact_s", "foot_strike_angle_rad"))
         strike[foot] = times, angles
     for sensor in {change.foot for change in analysis.phases} - set(analysis.events):
-        events[foot_of(sensor)] = _of_phases(analysis.phases, sensor)
+        events[foot_of_sensor(sensor)] = _of_phases(analysis.phases, sensor)
     tracks = list(analysis.recording.tracks.values())
     return Estimate(
         str(analysis.recording.path or analysis.recording.name),
@@ -89,7 +84,7 @@ def from_session(record: SessionRecord, source: str) -> Estimate:
     sensors = sorted({change.foot for change in record.phases})
     times = [1e-9 * int(part.t_ns[k]) for part in record.samples.values() if len(part.t_ns) for k in (0, -1)]
     times = times or [1e-9 * change.t_ns for change in record.phases] or [0.0]
-    events = {foot_of(sensor): _of_phases(record.phases, sensor) for sensor in sensors}
+    events = {foot_of_sensor(sensor): _of_phases(record.phases, sensor) for sensor in sensors}
     return Estimate(source, "as decided in the session", min(times), max(times), tuple(record.strides), events, {})
 
 

@@ -1,16 +1,12 @@
 """The whole evaluation: what can be held against a reference; clocks, frames, pairs, and their agreement.
 
-Paths of markers against estimated strides: Negård et al. (2005), Eq. (22), between the stride's own two ends.
+Paths of markers against estimated strides: Negård et al. (2005), Eq. (22), between the instants at which the estimate
+begins and ends the stride. A stride counts only where the marker was seen all along, stood still at both ends, and
+really went somewhere; where the marker is not at the sensor, only if the foot did not turn.
 
-Length is the horizontal distance of the marker between the instants at which the estimate begins and ends the stride:
-both then speak of the same stride. A stride counts only where the marker was seen all along, stood still at both ends,
-and really went somewhere; where the marker is not at the sensor, only if the foot did not turn.
-
-An optical orientation against what the inertial sensor alone tells: inclination, which is all but heading.
-
-Reference and estimate each say where up is in the sensor's axes. The angle between the two is the error that has
-nothing to do with heading; it goes into words. Bland–Altman and the like need signed quantities: they are the angles of
-the sensor's x and z axes to the vertical.
+An optical orientation against what the inertial sensor alone tells: the angle between the two directions of up in the
+sensor's axes, which has nothing to do with heading, goes into words; Bland–Altman and the like, which need signed
+quantities, get the angles of the sensor's x and z axes to the vertical.
 """
 
 import math

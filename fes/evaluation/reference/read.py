@@ -48,7 +48,7 @@ TIME: Final = ("t", "time", "seconds", "timestamp")
 CONTACT: Final = ("t_contact", "t_initial_contact", "t_loading_response", "first_contact", "contact_time")
 QUATERNION: Final = ("q_w", "q_x", "q_y", "q_z")
 OFF: Final = ("t_off", "t_foot_off", "t_swing", "last_contact", "off_time")
-_EVENT_NAMES: Final = {
+EVENT_NAMES: Final = {
     "IC": ("ic", "initialcontact", "footstrike", "heelstrike", "hs", "contact", "footcontact"),
     "FO": ("fo", "footoff", "toeoff", "to", "terminalcontact", "tc", "off"),
 }
@@ -172,7 +172,7 @@ def _events(table: Table, foot: str | None) -> Reference:
 def event_name(text: str) -> str | None:
     """IC or FO for the names that laboratories give them; None for others."""
     plain = re.sub(r"[^a-z]", "", text.lower())
-    return next((what for what, aliases in _EVENT_NAMES.items() if plain in aliases), None)
+    return next((what for what, aliases in EVENT_NAMES.items() if plain in aliases), None)
 
 
 def _mat(table: Table, foot: str | None) -> Reference:
@@ -227,13 +227,20 @@ def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatAr
             down |= _pressed((values - low) / (high - low))
     if not changed:
         raise ReferenceError(f"{source}: the switches of the {foot.replace('_', ' ')} never change; is one broken?")
-    edges: list[int] = []  # that are not followed by their opposite within BOUNCE_S, nor such opposites
-    for k in np.flatnonzero(np.diff(down.astype(np.int8))).tolist():
-        if edges and t_s[k + 1] - t_s[edges[-1] + 1] < BOUNCE_S:
-            edges.pop()
-        else:
-            edges.append(k)
+    at = np.flatnonzero(np.diff(down.astype(np.int8)))
+    edges = at[without_bounces(t_s[at + 1])].tolist()
     return [ReferenceEvent(float(0.5 * (t_s[k] + t_s[k + 1])), foot, "IC" if down[k + 1] else "FO") for k in edges]
+
+
+def without_bounces(edges_s: FloatArray) -> list[int]:
+    """Which of a contact's edges at times (N,) are neither followed by their opposite at once nor such opposites."""
+    kept: list[int] = []
+    for k, at_s in enumerate(edges_s.tolist()):
+        if kept and at_s - edges_s[kept[-1]] < BOUNCE_S:
+            kept.pop()
+        else:
+            kept.append(k)
+    return kept
 
 
 def _pressed(level: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -228,13 +228,7 @@ def read_columns(path: Path) -> Table:
         raise ReferenceError(f"{path}: names the column {twice!r} twice")
     columns = {name: [row[k].strip() for row in rows[1:]] for k, (name, _) in enumerate(names)}
     commas = any(re.fullmatch(r"[+-]?\d+,\d+", cell.strip()) for row in rows[1:51] for cell in row)
-    return Table(
-        path,
-        columns,
-        dict(names),
-        "," if delimiter != "," and commas else ".",
-        skipped + 2,
-    )
+    return Table(path, columns, dict(names), "," if delimiter != "," and commas else ".", skipped + 2)
 
 
 def _name(cell: str) -> tuple[str, float]:

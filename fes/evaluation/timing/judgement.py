@@ -1,14 +1,9 @@
 """One recording's timing held against its baseline and a truth: rows for people, failures in words for machines.
 
-A replay is deterministic. So a recording that the baseline knows is paired with its own events of then: one event that
-is missed among thousands, or moved, is a change of the program. Against a truth it is the distribution that counts:
-bias and 95 % limits may change by the tolerance. A recording that the baseline does not know is held against the
-biases of its walkers: it may be as far from their mean as one more walker would be, and the tolerance beside.
-
-The baseline of timing, a TOML file that its user keeps in version control: tolerances, spreads and every event.
-
-What a check compares with: of each recording its own events, to be paired one by one, and how they lay against the
-truth; over all recordings how far one may be from the others.
+A replay is deterministic, so a recording that the baseline knows is paired with its own events of then, one by one.
+Against a truth it is the distribution that counts: bias and 95 % limits may change by the tolerance. A recording that
+the baseline does not know may be as far from the mean bias of its walkers as one more walker would be, and the
+tolerance beside. The baseline is a TOML file that its user keeps in version control.
 """
 
 import math
@@ -85,18 +80,6 @@ class _NoStimulator:
         return []
 
 
-class _TimedOutput(ReplayOutput):
-    """Remembers how long decisions took as well."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.latencies_ns: list[int] = []
-
-    def latency(self, t_ns: int, latency_ns: int) -> None:
-        """Keep it."""
-        self.latencies_ns.append(latency_ns)
-
-
 def measure(
     recording: Recording,
     session: Session,
@@ -115,10 +98,10 @@ def measure(
     """
     up = {sensor: each.up for sensor, each in calibrations.items()}
     sensors = set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS))
-    first: _TimedOutput | None = None
+    first: ReplayOutput | None = None
     latency_ns = np.zeros(0, np.int64)
     for _ in range(repeats):
-        out = _TimedOutput()
+        out = ReplayOutput()
         gate = gate_of(session, up, shank_phase_sensors(calibrations))
         runner = Runner(controller_of(session, calibrations), gate, _NoStimulator(), out, clock_ns)
         runner.run(

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from fes.evaluation.agreement import differences
-from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand
+from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand, StimRequest
 from fes.simulation.truth import Truth
 from fes.walk_record import finite_or_none
 from statemachine.phases import Phase, PhaseChange, Transition
@@ -22,6 +22,7 @@ WINDOW_MS: Final = 300.0
 TRUTH_TOLERANCE_MS: Final = {"T1": 250.0, "T2": 60.0, "T3": 60.0, "T4": 250.0, "T5": 250.0, "T6": 250.0}
 EDGES: Final = ("on", "off")
 _MS: Final = 1e-6
+Burst = tuple[int, int]  # from when on to when off, ns
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -107,6 +108,22 @@ def marks_of_commands(commands: Iterable[StimCommand]) -> list[Mark]:
     return marks
 
 
+def bursts_of(asked: Iterable[tuple[int, StimRequest | StimCommand]]) -> dict[int, list[Burst]]:
+    """From when on to when off each channel was asked to be on, by channel number, from requests by time (ns)."""
+    since: dict[int, int] = {}
+    found: dict[int, list[Burst]] = {}
+    last_ns = 0
+    for t_ns, each in asked:
+        last_ns = t_ns
+        if each.on:
+            since.setdefault(each.channel, t_ns)
+        elif each.channel in since:
+            found.setdefault(each.channel, []).append((since.pop(each.channel), t_ns))
+    for channel, begin_ns in since.items():
+        found.setdefault(channel, []).append((begin_ns, last_ns))
+    return found
+
+
 def heel_lifts(t_ns: IntArray, phase: IntArray, foot: str) -> list[Mark]:
     """T1 and T5 of heels lifted and put back, from a truth's series of phases, both (N,)."""
     change = np.flatnonzero(np.diff(phase)) + 1
@@ -134,10 +151,7 @@ def pair_times(expected_ns: IntArray, found_ns: IntArray, window_ns: float) -> l
 
 
 def timing_rows(
-    expected: Sequence[Mark],
-    found: Sequence[Mark],
-    tolerance_ms: Mapping[str, float],
-    optional: Collection[Mark] = (),
+    expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: Mapping[str, float], optional: Collection[Mark] = ()
 ) -> tuple[TimingRow, ...]:
     """A row for each kind of mark that is expected or found, by name; no tolerance for a kind: none is too far.
 

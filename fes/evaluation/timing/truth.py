@@ -17,16 +17,17 @@ from typing import Any, Final
 import numpy as np
 
 from fes.config import Session
-from fes.evaluation.reference.alignment import GRID_S, event_trains, find_lag
-from fes.evaluation.reference.read import BOUNCE_S, TIME, companion_references, read_c3d, read_csv, switch_events
-from fes.evaluation.reference.table import (
-    Reference,
-    ReferenceError,
-    ReferenceEvent,
-    Table,
-    foot_of,
-    read_columns,
+from fes.evaluation.reference.alignment import lag_by_trains
+from fes.evaluation.reference.read import (
+    EVENT_NAMES,
+    TIME,
+    companion_references,
+    read_c3d,
+    read_csv,
+    switch_events,
+    without_bounces,
 )
+from fes.evaluation.reference.table import ReferenceError, ReferenceEvent, Table, foot_of, read_columns
 from fes.evaluation.timing.marks import (
     EDGES,
     Mark,
@@ -52,8 +53,8 @@ _GAIT: Final = ("T1", "T2", "T3", "T4", "T5", "T6")
 _OF_REFERENCE: Final = {"FO": "T2", "IC": "T3"}
 _NAMES: Final = {
     "T1": ("t1", "heeloff", "heelrise", "ho", "preswing"),
-    "T2": ("t2", "fo", "footoff", "toeoff", "to", "terminalcontact", "swing"),
-    "T3": ("t3", "ic", "initialcontact", "footstrike", "heelstrike", "hs", "contact", "footcontact", "loadingresponse"),
+    "T2": ("t2", "swing", *EVENT_NAMES["FO"]),
+    "T3": ("t3", "loadingresponse", *EVENT_NAMES["IC"]),
     "T4": ("t4", "footflat", "ff", "stance"),
     "T5": ("t5", "heelputback"),
     "T6": ("t6", "rest"),
@@ -186,7 +187,7 @@ def _csv_marks(path: Path, feet: set[str]) -> list[Mark]:
             by_foot.setdefault(foot_of(name.split("_")[0]) or "", {})[name] = table.numbers(name)
         return [mark for foot, signals in by_foot.items() for mark in marks_of_channels(str(path), foot, t_s, signals)]
     try:
-        return _marks_of_reference(read_csv(path, foot=only))
+        return _marks_of_events(read_csv(path, foot=only).events)
     except ReferenceError as error:
         if "no known kind" not in str(error):
             raise
@@ -264,19 +265,13 @@ def _force_events(source: str, foot: str, t_s: FloatArray, forces: list[FloatArr
         )
     share = (CONTACT_N - size[at]) / (size[at + 1] - size[at])
     times = t_s[at] + share * (t_s[at + 1] - t_s[at])
-    kept: list[int] = []
-    for k in range(len(at)):
-        if kept and times[k] - times[kept[-1]] < BOUNCE_S:
-            kept.pop()
-        else:
-            kept.append(k)
-    return [(float(times[k]), "T3" if down[at[k] + 1] else "T2") for k in kept]
+    return [(float(times[k]), "T3" if down[at[k] + 1] else "T2") for k in without_bounces(times)]
 
 
 def _c3d_marks(path: Path, plates: Mapping[int, str]) -> list[Mark]:
     """Events of a C3D file; without any its force plates, or analog channels named after a foot."""
     try:
-        return _marks_of_reference(read_c3d(path))
+        return _marks_of_events(read_c3d(path).events)
     except ReferenceError as error:
         if "holds neither events" not in str(error):
             raise
@@ -309,10 +304,6 @@ def _c3d_marks(path: Path, plates: Mapping[int, str]) -> list[Mark]:
         t_s = begin_s + np.arange(len(next(iter(signals.values())))) / rate_hz
         marks += marks_of_channels(str(path), foot, t_s, signals)
     return marks
-
-
-def _marks_of_reference(reference: Reference) -> list[Mark]:
-    return _marks_of_events(reference.events)
 
 
 def _marks_of_events(events: Iterable[ReferenceEvent]) -> list[Mark]:
@@ -432,16 +423,12 @@ def find_offset_s(expected: ExpectedMarks, found: Sequence[Mark]) -> tuple[float
     enough = [k for k in range(len(trains[0])) if min(len(trains[0][k]), len(trains[1][k])) > 2]
     if not enough:
         raise TimingError(f"{expected.source}: fewer than three contacts or foot offs, too few to compare clocks by.")
-    signals = []
-    for train in trains:
-        mine = [train[k] for k in enough]
-        grid = np.arange(min(t.min() for t in mine) - 0.5, max(t.max() for t in mine) + 0.5, GRID_S)
-        signals.append((grid, event_trains(mine, grid, 0.05)))
-    begins_s = [float(grid[0]) for grid, _ in signals]
+    true, ours = ([train[k] for k in enough] for train in trains)
+    apart_s = min(float(t.min()) for t in ours) - min(float(t.min()) for t in true)
     # clocks that have nothing to do with each other are first brought to begin together
-    apart_s = begins_s[1] - begins_s[0] if abs(begins_s[1] - begins_s[0]) > MOST_LAG_S else 0.0
+    apart_s = apart_s if abs(apart_s) > MOST_LAG_S else 0.0
     try:
-        lag = find_lag(signals[0][0] + apart_s, signals[0][1], *signals[1], MOST_LAG_S)
+        lag = lag_by_trains([times + apart_s for times in true], ours, MOST_LAG_S, width_s=0.05)
     except ValueError as error:
         raise TimingError(f"{expected.source}: no offset of the clocks can be found: {error}.") from error
     return lag.lag_s + apart_s, lag.caveat
