@@ -26,7 +26,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
-from drivers.imu.ble import BleConnection, BridgedConnection
+from drivers.imu.ble import connect
 from drivers.imu.line import ByteLine, LineOpener
 from drivers.imu.port import ImuLost, OneSensorPort, StampClock
 from fes.config import ImuDevice
@@ -113,12 +113,7 @@ class MovellaDotImu(OneSensorPort):
         self._expect_samples()
         self._stamps = StampClock(32, 1000.0)
         self._answers: list[tuple[str, int, int]] = []
-        notifies, bridged = uuid(MEDIUM_PAYLOAD), "/" in self._device.port
-        self._connection: BleConnection | BridgedConnection = (
-            BridgedConnection(self._device, notifies, self._opener)
-            if bridged
-            else BleConnection(self._device, notifies)
-        )
+        self._connection = connect(self._device, uuid(MEDIUM_PAYLOAD), opener=self._opener)
         try:
             self._begin()
         except (ImuLost, struct.error) as error:

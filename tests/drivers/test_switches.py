@@ -250,9 +250,7 @@ def test_an_mti_is_not_asked_for_another_rate_than_the_session_names() -> None:
         open_imus([Sensor("xbus", rate_hz=99.6)])
 
 
-@pytest.mark.parametrize(
-    ("device", "option"), [("xbus", "configure"), ("ximu3", "library"), ("xsens_can", "group_counter")]
-)
+@pytest.mark.parametrize(("device", "option"), [("xbus", "configure"), ("xsens_can", "group_counter")])
 def test_the_text_false_is_not_true(device: str, option: str) -> None:
     with pytest.raises(ValueError, match=rf"options\.{option} = 'false' must be true or false"):
         open_imus([Sensor(device, {option: "false"}, port="bus" if device == "xsens_can" else "/dev/nowhere")])
