@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import can
 import numpy as np
@@ -20,6 +20,7 @@ from drivers.imu.xbus import XbusImu
 from drivers.imu.ximu3 import Ximu3Imu
 from drivers.simulated.imu.device import SimulatedImu
 from drivers.simulated.imu.serial_wires import serial_wire
+from drivers.simulated.record import Pulse, pulses_of
 from drivers.simulated.stimulator.firmware import NEVER
 from drivers.simulated.stimulator.in_process import DeviceLine, NodeBus
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
@@ -167,14 +168,6 @@ def simulated_sensor(
     return SensorBench(settings, port, SimulatedTime(line), SensorPerson(line, feels))
 
 
-class OnePulse(NamedTuple):
-    """As the output stage put it out."""
-
-    t_ns: int
-    current_ma: float
-    width_us: float
-
-
 class NodeOnBus(NodeBus):
     """A bus on which waiting lets the node's time pass."""
 
@@ -208,7 +201,7 @@ class StimulatorPerson:
     """Reads what the output stage put out since the oscilloscope was last made ready; presses its own switch."""
 
     line: DeviceLine | NodeOnBus
-    _seen: list[OnePulse] = field(default_factory=list)
+    _seen: list[Pulse] = field(default_factory=list)
     _presses: bool = False
     _pressed_ns: int = NEVER
 
@@ -238,7 +231,7 @@ class StimulatorPerson:
         if key == "ma":
             return float(np.median([pulse.current_ma for pulse in end]))
         if key == "us":
-            return float(np.median([pulse.width_us for pulse in end]))
+            return float(np.median([pulse.pulse_width_us for pulse in end]))
         if key == "interval_ms":
             return float(np.median(np.diff(burst_ns))) / 1e6 if len(burst_ns) > 1 else 0.0
         if key == "length_ms":
@@ -259,11 +252,10 @@ class StimulatorPerson:
     def collect(self) -> None:
         """Take what was put out since."""
         if isinstance(self.line, NodeOnBus):
-            self._seen += [OnePulse(p.t_ns, p.current_ma, p.pulse_width_us) for p in self.line.pulses]
+            self._seen += self.line.pulses
             self.line.pulses.clear()
         elif isinstance(self.line.device, SimulatedDevice):
-            entries = [entry for entry in self.line.device.take_record() if entry.event == "pulse"]
-            self._seen += [OnePulse(entry.t_ns, entry.current_ma, entry.pulse_width_us) for entry in entries]
+            self._seen += pulses_of(self.line.device.take_record())
 
 
 @dataclass(eq=False)

@@ -191,21 +191,3 @@ def test_a_dbc_without_time_counts(tmp_path: Path) -> None:
     assert sample.gyr_radps[0] == pytest.approx(math.radians(90.0))
     assert [b - a for a, b in itertools.pairwise(stamps)] == [10_000_000, 30_000_000]
     assert part.counts.missing == 2
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"acc_x": "M.Nope"}, "M.Ax"),
-        ({"acc_x": ""}, "acc_x"),
-        ({"counter": ""}, "time or counter"),
-        ({"acc_unit": "feet"}, "acc_unit"),
-        ({"dbc": "/nowhere.dbc"}, "nowhere"),
-        ({"id_offset": 4000}, "id_offset"),
-    ],
-)
-def test_wrong_options_are_named(tmp_path: Path, change: dict[str, str | int], said: str) -> None:
-    path = tmp_path / "imu.dbc"
-    path.write_text(DBC, encoding="ascii")
-    with pytest.raises(ValueError, match=said):
-        DbcSensor(device("dbc_can", options=NAMES | {"dbc": str(path), "counter": "M.N"} | change))

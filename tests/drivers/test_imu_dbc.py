@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -166,20 +167,30 @@ def test_what_no_signal_can_carry_is_refused_by_the_driver(tmp_path: Path, value
         ({"id_offset": 2000}, DBC, "id_offset"),
         ({"id_offset": 1.5}, DBC, "id_offset = 1.5 must be a whole number"),
         ({}, "nonsense", "cannot be read"),
+        ({"dbc": "/nowhere.dbc"}, DBC, "nowhere"),
         ({}, LONG, "12 bytes"),
-        ({}, MULTIPLEXED, "cannot be sent"),
     ],
 )
-def test_a_simulated_sensor_names_the_option_that_does_not_fit(
-    tmp_path: Path, change: dict[str, str | float], text: str, said: str
+@pytest.mark.parametrize("reader", [DbcWire, sensor])
+def test_the_option_that_does_not_fit_is_named(
+    tmp_path: Path,
+    reader: Callable[[dict[str, str | int | float | bool]], object],
+    change: dict[str, str | float],
+    text: str,
+    said: str,
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        DbcWire(dbc_options(tmp_path, text, **change))
+        reader(dbc_options(tmp_path, text, **change))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [(FLOAT_CLOCK, "integer"), (EXTENDED, "29 bit"), (MULTIPLEXED, "multiplexed"), (LONG, "12 bytes")]
+    ("text", "said"), [(FLOAT_CLOCK, "integer"), (EXTENDED, "29 bit"), (MULTIPLEXED, "multiplexed")]
 )
 def test_a_dbc_that_gives_no_samples_is_refused_at_once(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         sensor(dbc_options(tmp_path, text))
+
+
+def test_a_dbc_by_which_nothing_can_be_sent_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="cannot be sent"):
+        DbcWire(dbc_options(tmp_path, MULTIPLEXED))

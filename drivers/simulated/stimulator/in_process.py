@@ -11,6 +11,7 @@ from itertools import count
 import can
 
 from drivers.simulated.lines import Device, LineFaults
+from drivers.simulated.record import Pulse
 from drivers.simulated.stimulator.firmware import NodeFaults, StimulatorNode
 from drivers.stimulator.can_codec import Frame
 from drivers.stimulator.can_port import CanStimulator, Handshake
@@ -76,37 +77,28 @@ class NodeBus(can.BusABC):
         super().__init__(channel="in process")
         self.channel_info = "simulated stimulator in this process"
         self.node = StimulatorNode(boot_id, t_ns, faults)
-        self.pulses: list[DeliveredPulse] = []
+        self.pulses: list[Pulse] = []
         self._t_ns = t_ns
         self._frames: deque[Frame] = deque()
-        self._counts = [channel.pulses for channel in self.node.channels]
 
     def advance(self, t_ns: int) -> None:
         """Let the node live on to ``t_ns``, from deadline to deadline, so that each pulse is seen by itself."""
         while (deadline_ns := self.node.next_deadline_ns()) <= t_ns:
             self._t_ns = max(self._t_ns, deadline_ns)
-            levels = [channel.levels for channel in self.node.channels]
             self._frames.extend(self.node.advance(self._t_ns))
-            self._note(levels)
+            self.pulses += self.node.take_pulses()
         self._t_ns = max(self._t_ns, t_ns)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """To the node, now; a pulse that it makes at once counts too."""
         self._frames.extend(self.node.receive(self._t_ns, msg.arbitration_id, bytes(msg.data)))
-        self._note([channel.levels for channel in self.node.channels])
+        self.pulses += self.node.take_pulses()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._frames:
             return None, False
         identifier, data = self._frames.popleft()
         return can.Message(arbitration_id=identifier, data=data, is_extended_id=False), False
-
-    def _note(self, levels: list[tuple[float, float, float]]) -> None:
-        for number, channel in enumerate(self.node.channels):
-            if channel.pulses > self._counts[number]:
-                current_ma, pulse_width_us, _ = levels[number]
-                self.pulses.append(DeliveredPulse(channel.last_pulse_ns, number, current_ma, pulse_width_us))
-            self._counts[number] = channel.pulses
 
 
 class InProcessStimulator(CanStimulator):
@@ -146,4 +138,4 @@ class InProcessStimulator(CanStimulator):
     def take_pulses(self) -> list[DeliveredPulse]:
         """The pulses since the last call, by time."""
         pulses, self.bus.pulses = self.bus.pulses, []
-        return sorted(pulses, key=lambda pulse: pulse.t_ns)
+        return [DeliveredPulse(*pulse) for pulse in sorted(pulses)]
