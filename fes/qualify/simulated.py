@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import can
 import numpy as np
 
 from drivers.imu.capture2go_port import Capture2GoImu
@@ -100,7 +99,7 @@ class HeldByHand:
 class SimulatedTime:
     """Passes where somebody waits, from deadline to deadline of what is on the line."""
 
-    line: "DeviceLine | NodeOnBus"
+    line: DeviceLine | NodeBus
     _stood_ns: int = -1
 
     def now_ns(self) -> int:
@@ -168,39 +167,11 @@ def simulated_sensor(
     return SensorBench(settings, port, SimulatedTime(line), SensorPerson(line, feels))
 
 
-class NodeOnBus(NodeBus):
-    """A bus on which waiting lets the node's time pass."""
-
-    @property
-    def t_ns(self) -> int:
-        """The node's time."""
-        return self._t_ns
-
-    def clock_ns(self) -> int:
-        """The same, for a handshake's deadline."""
-        return self._t_ns
-
-    def wait(self, timeout_s: float) -> None:
-        """Until the node has something to do, at most ``timeout_s``."""
-        if self._frames:
-            return
-        end_ns = self._t_ns + max(int(timeout_s * NS_PER_S), 1)
-        self.advance(min(max(self.node.next_deadline_ns(), self._t_ns), end_ns))
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._frames and timeout:
-            self.wait(timeout)
-        return super()._recv_internal(timeout)
-
-    def shutdown(self) -> None:
-        """It is opened again."""
-
-
 @dataclass(eq=False)
 class StimulatorPerson:
     """Reads what the output stage put out since the oscilloscope was last made ready; presses its own switch."""
 
-    line: DeviceLine | NodeOnBus
+    line: DeviceLine | NodeBus
     _seen: list[Pulse] = field(default_factory=list)
     _presses: bool = False
     _pressed_ns: int = NEVER
@@ -251,7 +222,7 @@ class StimulatorPerson:
 
     def collect(self) -> None:
         """Take what was put out since."""
-        if isinstance(self.line, NodeOnBus):
+        if isinstance(self.line, NodeBus):
             self._seen += self.line.pulses
             self.line.pulses.clear()
         elif isinstance(self.line.device, SimulatedDevice):
@@ -283,14 +254,14 @@ def stimulator_session(kind: str) -> Session:
 
 
 def simulated_stimulator(
-    kind: str, device: SimulatedDevice | None = None, bus: NodeOnBus | None = None
+    kind: str, device: SimulatedDevice | None = None, bus: NodeBus | None = None
 ) -> StimulatorBench:
     """A bench with a simulated stimulator of this kind; the ``device`` on its line, or the ``bus``, may be another."""
     session = stimulator_session(kind)
     opener: Callable[[int], Port]
-    line: DeviceLine | NodeOnBus
+    line: DeviceLine | NodeBus
     if kind == "can":
-        line = node = bus or NodeOnBus(1, START_NS)
+        line = node = bus or NodeBus(1, START_NS)
         sessions = iter(range(SESSION_ID % APART, 1 << 16, APART))
 
         def open_on_bus(t_ns: int) -> Port:

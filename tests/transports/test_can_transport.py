@@ -20,6 +20,7 @@ from pathlib import Path
 
 import can
 import pytest
+from processes import alive
 
 from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.spawn import NodeFailed, NodeHandle, free_bus, spawn_node, why_silent
@@ -294,19 +295,11 @@ def test_no_node_is_left_when_the_process_that_started_it_is_killed(tmp_path: Pa
     parent.kill()
     parent.wait(10)
     end_s = time.monotonic() + 5.0
-    while is_running(pid) and time.monotonic() < end_s:
+    while alive(pid) and time.monotonic() < end_s:
         time.sleep(0.01)
-    assert not is_running(pid)
+    assert not alive(pid)
     if parent.stdout is not None:
         parent.stdout.close()
-
-
-def is_running(pid: int) -> bool:
-    """Whether the process exists and is more than a zombie that nobody has collected."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def test_a_node_that_cannot_start_says_why() -> None:
