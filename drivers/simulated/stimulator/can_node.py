@@ -46,7 +46,7 @@ class NodeDevice(StimulatingDevice):
         """As the node's."""
         self.node.power_off(t_ns)
 
-    def take(self) -> tuple[list[RecordEntry], list[Pulse]]:
+    def take_record_and_pulses(self) -> tuple[list[RecordEntry], list[Pulse]]:
         """What happened since the last call, and the pulses."""
         return self.node.take_record(), self.node.take_pulses()
 

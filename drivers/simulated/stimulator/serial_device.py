@@ -43,7 +43,7 @@ class StimulatingDevice(Device):
         """Silence every channel."""
 
     @abstractmethod
-    def take(self) -> tuple[list[RecordEntry], list[Pulse]]:
+    def take_record_and_pulses(self) -> tuple[list[RecordEntry], list[Pulse]]:
         """What happened since the last call, and the pulses."""
 
 
@@ -102,7 +102,7 @@ class SimulatedDevice(StimulatingDevice):
         entries, self._record = self._record, []
         return entries
 
-    def take(self) -> tuple[list[RecordEntry], list[Pulse]]:
+    def take_record_and_pulses(self) -> tuple[list[RecordEntry], list[Pulse]]:
         """See the base."""
         entries = self.take_record()
         return entries, pulses_of(entries)
@@ -182,7 +182,7 @@ def run_stimulator(
     device = make(time.monotonic_ns())
 
     def keep() -> None:
-        entries, delivered = device.take()
+        entries, delivered = device.take_record_and_pulses()
         pulses.send(delivered)
         record.write(entries)
 
