@@ -164,6 +164,8 @@ class BridgedConnection:
         """Hand over a value."""
         self._line.write(struct.pack("<HH", _number(characteristic), len(value)) + value)
 
+    write_soon = write
+
     def read(self, characteristic: str) -> bytes:
         """A value. ImuLost: it does not come in time."""
         self.write(characteristic, b"")
@@ -212,3 +214,15 @@ class BridgedConnection:
 
 def _number(characteristic: str) -> int:
     return int(characteristic[4:8], 16)
+
+
+Connection = BleConnection | BridgedConnection
+
+
+def connect(
+    device: ImuDevice, notifies: str, services: Sequence[str] | None = None, opener: LineOpener = ByteLine
+) -> Connection:
+    """By radio, or over a line where the settings' ``port`` is one (``/dev/…``). ImuLost: as both say."""
+    if "/" in device.port:
+        return BridgedConnection(device, notifies, opener)
+    return BleConnection(device, notifies, services)

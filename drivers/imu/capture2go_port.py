@@ -6,9 +6,9 @@ Options: ``baudrate`` (115200; a USB line has none, the setting is for adapters)
 nearby has.
 
 Over Bluetooth LE (by bleak, extra ``ble``) the settings' ``port`` is the sensor's name (``IMU_`` and its serial
-number) or its address; where it is a line (``/dev/…``), notifications come over that, each after its length in two
-bytes, as a simulated radio sends them. Samples are kept first in, first out: bad reception makes them late, not
-missing. How late is known by asking the sensor for its time (CmdGetStatus) again and again: what it answers was its
+number) or its address; where it is a line (``/dev/…``), values come over that, as a simulated radio sends them.
+Samples are kept first in, first out: bad reception makes them late, not missing. How late is known by asking the sensor
+for its time (CmdGetStatus) again and again: what it answers was its
 time after the question. It sends no status unasked, so that each is an answer. Options: ``sync`` and ``sync_id`` as by
 cable, ``find_s`` (10): how long it is looked for, ``packed`` (false): eight samples a package, for less load on the
 radio; at 100 Hz the oldest is 70 ms old by then.
@@ -21,9 +21,9 @@ from contextlib import suppress
 from typing import Any, Final
 
 from drivers.imu import capture2go_codec as c2g
-from drivers.imu.ble import BleConnection
+from drivers.imu.ble import Connection, connect
 from drivers.imu.capture2go_codec import Flags, Header, Package, SensorState, SyncMode
-from drivers.imu.line import ByteLine, LineOpener
+from drivers.imu.line import BAUDRATE, ByteLine, LineOpener
 from drivers.imu.port import NOT_A_NUMBER, ImuLost, OneSensorPort, flag_option, text_option, whole_option
 from drivers.stimulator.serial_line import Line
 from fes.config import ImuDevice
@@ -47,7 +47,9 @@ class Capture2GoPort(OneSensorPort):
 
     status_every_s = STATUS_EVERY_S
     mode_field = "fullFixedMode"
-    _decoder: c2g.Capture2GoDecoder | c2g.NotificationDecoder
+    decoder: type[c2g.Capture2GoDecoder | c2g.NotificationDecoder] = c2g.Capture2GoDecoder
+    _line: Line | Connection
+    _is_open = False
     kinds: tuple[str, ...] = ("FULL_FIXED", "FULL_6D_FIXED")  # of packages with samples
 
     def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -70,21 +72,16 @@ class Capture2GoPort(OneSensorPort):
         super().__init__(device)
 
     @abstractmethod
+    def _connected(self) -> Line | Connection:
+        """The line, opened."""
+
+    @abstractmethod
     def _send(self, package: bytes) -> None:
         """Hand over one package now. ImuLost: the line broke."""
 
     @abstractmethod
     def _receive(self) -> list[Package]:
         """What has come; never waits. ImuLost: the line broke."""
-
-    @abstractmethod
-    def _wait(self, seconds: float) -> None:
-        """Until something comes, but no longer."""
-
-    @property
-    @abstractmethod
-    def _name(self) -> str:
-        """Of sensor and line, for messages."""
 
     @property
     def notices(self) -> list[str]:
@@ -102,6 +99,16 @@ class Capture2GoPort(OneSensorPort):
 
     # --- opening ----------------------------------------------------------------------------------------
 
+    def _open(self) -> None:
+        self._decoder = self.decoder(self._counts)
+        self._line = self._connected()
+        try:
+            self._begin()
+        except (ImuLost, ValueError):
+            self._line.close()
+            raise
+        self._is_open = True
+
     def _begin(self) -> None:
         """Over an open line: who is there, its clock, its outputs, its start. ImuLost: it refuses or is silent."""
         self._status: dict[str, Any] = {}
@@ -111,7 +118,7 @@ class Capture2GoPort(OneSensorPort):
         self.firmwares = {self._device.sensor: info["firmwareVersion"].rstrip(b"\0").decode("ascii", "replace")}
         state = self._ask(Header.CMD_GET_STATUS, {}, Header.DATA_STATUS)["sensorState"]
         if state == SensorState.RECORDING:
-            raise ImuLost(f"{self._name}: records to its own storage; end that recording first")
+            raise ImuLost(f"{self._line.name}: records to its own storage; end that recording first")
         if state == SensorState.STREAMING:
             stop = Header.CMD_STOP_STREAMING_AND_CLEAR_BUFFER  # what has queued up there is of no use any more
             self._ask(stop, {}, Header.ACK_STOP_STREAMING_AND_CLEAR_BUFFER)
@@ -127,7 +134,7 @@ class Capture2GoPort(OneSensorPort):
         }
         given = self._ask(Header.CMD_SET_MEASUREMENT_MODE, mode, Header.DATA_MEASUREMENT_MODE)
         if other := sorted(name for name, value in mode.items() if given[name] != value):
-            raise ImuLost(f"{self._name}: does not take {', '.join(other)} as asked for")
+            raise ImuLost(f"{self._line.name}: does not take {', '.join(other)} as asked for")
         self._ask(Header.CMD_START_STREAMING, {}, Header.ACK_START_STREAMING)
 
     def _ask(self, command: Header, fields: Mapping[str, c2g.Value], wanted: Header) -> dict[str, Any]:
@@ -136,20 +143,27 @@ class Capture2GoPort(OneSensorPort):
             self._send(c2g.pack(command, fields))
             deadline_ns = self._clock_ns() + int(ANSWER_S * NS_PER_S)
             while (left_ns := deadline_ns - self._clock_ns()) > 0:
-                self._wait(left_ns / NS_PER_S)
+                self._line.wait(left_ns / NS_PER_S)
                 for package in self._receive():
                     if package.header == Header.ERROR and (said := c2g.unpack(package))["command"] == command:
                         code = said["errorCode"]
                         why = c2g.ERRORS.get(code, "unknown error")
-                        raise ImuLost(f"{self._name}: refuses {command.name}: {why} (0x{code:02x})")
+                        raise ImuLost(f"{self._line.name}: refuses {command.name}: {why} (0x{code:02x})")
                     if package.header == wanted:
                         return c2g.unpack(package)
-        raise ImuLost(f"{self._name}: no Capture2Go answers to {command.name}. Is it one, and switched on?")
+        raise ImuLost(f"{self._line.name}: no Capture2Go answers to {command.name}. Is it one, and switched on?")
 
-    def _end(self) -> None:
-        """It need not send to nobody; a line that is gone takes no leave."""
-        with suppress(ImuLost):
-            self._send(c2g.pack(Header.CMD_STOP_STREAMING))
+    def fileno(self) -> int:
+        """The line's descriptor."""
+        return self._line.fileno()
+
+    def close(self) -> None:
+        """Stop it and release the line; one that is gone takes no leave."""
+        if self._is_open:
+            self._is_open = False
+            with suppress(ImuLost):
+                self._send(c2g.pack(Header.CMD_STOP_STREAMING))
+            self._line.close()
 
     # --- samples ----------------------------------------------------------------------------------------
 
@@ -162,7 +176,7 @@ class Capture2GoPort(OneSensorPort):
             elif package.header == Header.DATA_STATUS:
                 self._status = c2g.unpack(package)
                 if self._status["sensorState"] != SensorState.STREAMING:
-                    raise ImuLost(f"{self._name}: has stopped streaming by itself")
+                    raise ImuLost(f"{self._line.name}: has stopped streaming by itself")
         return found
 
     def _converted(self, t_ns: int, sample: c2g.Sample) -> RawSample:
@@ -178,8 +192,6 @@ class Capture2GoPort(OneSensorPort):
 class Capture2GoImu(Capture2GoPort):
     """:class:`~drivers.imu.port.ImuPort` for one Capture2Go on its USB line."""
 
-    baudrate = 115_200
-    decoder: type[c2g.Capture2GoDecoder | c2g.NotificationDecoder] = c2g.Capture2GoDecoder
     _line: Line
 
     def __init__(
@@ -188,37 +200,15 @@ class Capture2GoImu(Capture2GoPort):
         self._opener = opener
         super().__init__(device, clock_ns)
 
-    def _open(self) -> None:
-        self._decoder = self.decoder(self._counts)
-        baudrate = whole_option(self._device, "baudrate", self.baudrate, 1)
-        self._line = self._opener(self._device.sensor, self._device.port, baudrate)
-        try:
-            self._begin()
-        except ImuLost:
-            self._line.close()
-            raise
+    def _connected(self) -> Line:
+        baudrate = whole_option(self._device, "baudrate", BAUDRATE, 1)
+        return self._opener(self._device.sensor, self._device.port, baudrate)
 
     def _send(self, package: bytes) -> None:
         self._line.write(package)
 
     def _receive(self) -> list[Package]:
         return self._decoder.feed(self._line.read())
-
-    def _wait(self, seconds: float) -> None:
-        self._line.wait(seconds)
-
-    @property
-    def _name(self) -> str:
-        return self._line.name
-
-    def fileno(self) -> int:
-        """The line's descriptor."""
-        return self._line.fileno()
-
-    def close(self) -> None:
-        """Stop it and release the line."""
-        self._end()
-        self._line.close()
 
 
 # --- A SensorStim Capture2Go over Bluetooth LE, by bleak (extra ``ble``) ------------------------------------
@@ -234,18 +224,25 @@ UNANSWERED_NS: Final = 10 * NS_PER_S  # so late is no answer: what lies in the r
 
 
 class Capture2GoRadio(Capture2GoPort):
-    """What is the same however the notifications come: the sensor is asked for its time."""
+    """:class:`~drivers.imu.port.ImuPort` for one Capture2Go by radio, which is asked for its time."""
 
     status_every_s = 0
+    decoder = c2g.NotificationDecoder
+    _line: Connection
 
     def __init__(self, device: ImuDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         if flag_option(device, "packed", False):
             self.mode_field, self.kinds = "fullPackedMode", ("FULL_PACKED", "FULL_6D_PACKED")
         super().__init__(device, clock_ns)
 
-    @abstractmethod
-    def _send_soon(self, package: bytes) -> None:
-        """Hand over one package without waiting for anything."""
+    def _connected(self) -> Connection:
+        return connect(self._device, FROM_SENSOR, [SERVICE])
+
+    def _send(self, package: bytes) -> None:
+        self._line.write(TO_SENSOR, package)
+
+    def _receive(self) -> list[Package]:
+        return [package for heard in self._line.notifications() for package in self._decoder.feed(heard)]
 
     def _begin(self) -> None:
         self._told: list[tuple[str, int, int]] = []
@@ -266,69 +263,10 @@ class Capture2GoRadio(Capture2GoPort):
             # counted from before it is sent: whatever it waits for on its way, the bound stays true
             self._asked_ns = t_ns if self._asked_ns is None else self._asked_ns
             self._sent_ns = t_ns
-            self._send_soon(c2g.pack(Header.CMD_GET_STATUS))
+            self._line.write_soon(TO_SENSOR, c2g.pack(Header.CMD_GET_STATUS))
         return found
 
     def clock_answers(self) -> list[tuple[str, int, int]]:
         """See the base."""
         told, self._told = self._told, []
         return told
-
-
-class Capture2GoBridge(Capture2GoRadio, Capture2GoImu):
-    """Notifications over a line of bytes, each after its length (two bytes, the least significant first)."""
-
-    baudrate = 921_600
-    decoder = c2g.NotificationDecoder
-    _send_soon = Capture2GoImu._send
-
-    def _open(self) -> None:
-        self._bytes = bytearray()
-        super()._open()
-
-    def _receive(self) -> list[Package]:
-        self._bytes += self._line.read()
-        packages: list[Package] = []
-        while len(self._bytes) > 2 and len(self._bytes) >= (end := 2 + int.from_bytes(self._bytes[:2], "little")):
-            packages += self._decoder.feed(bytes(self._bytes[2:end]))
-            del self._bytes[:end]
-        return packages
-
-
-class Capture2GoBle(Capture2GoRadio):
-    """:class:`~drivers.imu.port.ImuPort` for one Capture2Go by radio."""
-
-    def _open(self) -> None:
-        self._decoder = c2g.NotificationDecoder(self._counts)
-        self._connection = BleConnection(self._device, FROM_SENSOR, [SERVICE])
-        try:
-            self._begin()
-        except (ImuLost, ValueError):
-            self._connection.close()
-            raise
-
-    def _send(self, package: bytes) -> None:
-        self._connection.write(TO_SENSOR, package)
-
-    def _send_soon(self, package: bytes) -> None:
-        self._connection.write_soon(TO_SENSOR, package)
-
-    def _receive(self) -> list[Package]:
-        return [package for heard in self._connection.notifications() for package in self._decoder.feed(heard)]
-
-    def _wait(self, seconds: float) -> None:
-        self._connection.wait(seconds)
-
-    @property
-    def _name(self) -> str:
-        return self._connection.name
-
-    def fileno(self) -> int:
-        """The connection's descriptor."""
-        return self._connection.fileno()
-
-    def close(self) -> None:
-        """Stop it and leave; one that is gone is not waited for."""
-        if self._connection.is_open:
-            self._end()
-            self._connection.close()

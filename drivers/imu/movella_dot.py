@@ -23,10 +23,9 @@ import struct
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final
 
-from drivers.imu.ble import BleConnection, BridgedConnection
+from drivers.imu.ble import connect
 from drivers.imu.line import ByteLine, LineOpener
 from drivers.imu.port import ImuLost, OneSensorPort, StampClock
 from fes.config import ImuDevice
@@ -39,15 +38,6 @@ _INFO: Final = struct.Struct("<6s3B7xIQ6s")  # address, firmware, its date, radi
 _CONTROL: Final = struct.Struct("<B23xH6x")  # which fields count, output rate
 _OUTPUT_RATE: Final = 1 << 4
 _PAYLOAD: Final = struct.Struct("<I3f3f")
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One sample; its stamp wraps."""
-
-    t_us: int
-    acc_mps2: Vector3
-    gyr_radps: Vector3
 
 
 def uuid(characteristic: int) -> str:
@@ -76,10 +66,13 @@ def identity(value: bytes) -> tuple[str, str]:
     return f"{serial:X}", f"{major}.{minor}.{revision}"
 
 
-def sample(payload: bytes) -> Sample:
-    """One notification. struct.error: it is too short for rate quantities."""
+def sample(payload: bytes) -> tuple[int, Vector3, Vector3]:
+    """Of one notification the stamp in µs, which wraps, acceleration in m/s² and rate in rad/s.
+
+    struct.error: it is too short for rate quantities.
+    """
     t_us, ax, ay, az, p, q, r = _PAYLOAD.unpack_from(payload)
-    return Sample(t_us, (ax, ay, az), (math.radians(p), math.radians(q), math.radians(r)))
+    return t_us, (ax, ay, az), (math.radians(p), math.radians(q), math.radians(r))
 
 
 QUIET_S: Final = 0.5  # without a sample of an earlier measurement: then no more of them is on its way
@@ -113,12 +106,7 @@ class MovellaDotImu(OneSensorPort):
         self._expect_samples()
         self._stamps = StampClock(32, 1000.0)
         self._answers: list[tuple[str, int, int]] = []
-        notifies, bridged = uuid(MEDIUM_PAYLOAD), "/" in self._device.port
-        self._connection: BleConnection | BridgedConnection = (
-            BridgedConnection(self._device, notifies, self._opener)
-            if bridged
-            else BleConnection(self._device, notifies)
-        )
+        self._connection = connect(self._device, uuid(MEDIUM_PAYLOAD), opener=self._opener)
         try:
             self._begin()
         except (ImuLost, struct.error) as error:
@@ -164,17 +152,17 @@ class MovellaDotImu(OneSensorPort):
         found: list[RawSample] = []
         for payload in self._connection.notifications():
             try:
-                measured = sample(payload)
+                t_us, acc_mps2, gyr_radps = sample(payload)
             except struct.error:
                 self._counts.bad_frames += 1
                 continue
-            stamp_ns = self._stamps.time_ns(measured.t_us)
+            stamp_ns = self._stamps.time_ns(t_us)
             if self._started_ns is not None:
                 # by a period earlier: the first may have been under way
                 began_ns = self._started_ns - round(NS_PER_S / self._device.rate_hz)
                 self._answers.append((self._device.sensor, began_ns, stamp_ns))
                 self._started_ns = None
-            found.append(self._sample(t_ns, stamp_ns, measured.acc_mps2, measured.gyr_radps))
+            found.append(self._sample(t_ns, stamp_ns, acc_mps2, gyr_radps))
         return found
 
     def clock_answers(self) -> list[tuple[str, int, int]]:

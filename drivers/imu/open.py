@@ -1,26 +1,30 @@
 """Open whichever sensors the settings name; those on one CAN bus share a port."""
 
 import contextlib
+import importlib
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from drivers.imu.port import AXES, ImuLost, ImuPort, flag_option
+from drivers.imu.port import AXES, ImuLost, ImuPort
 from fes.config import Bus, ImuDevice
 from fes.extensions import ExtensionError, load_extension
 
 WITHOUT_LINE = ("lsl", "capture2go_ble", "movella_dot")  # whose port is no line of this computer
 ON_CAN = ("xsens_can", "dbc_can")
-OPTIONS = {
-    "xbus": ("baudrate", "configure"),
-    "xsens_can": ("id_offset", "group_counter"),
-    "dbc_can": ("dbc", *AXES, "time", "counter", "acc_unit", "gyr_unit", "time_unit", "id_offset"),
-    "ximu3": ("baudrate", "library"),
-    "capture2go": ("baudrate", "sync", "sync_id"),
-    "capture2go_ble": ("sync", "sync_id", "find_s", "packed"),
-    "witmotion": ("baudrate", "configure"),
-    "movella_dot": ("find_s",),
-    "lsl": (*AXES, "acc_unit", "gyr_unit", "timeout_s"),
-}  # that each kind of device has
+KINDS: dict[str, tuple[str, tuple[str, ...]]] = {  # the port, imported only where it is wanted, and its options
+    "xbus": ("xbus.XbusImu", ("baudrate", "configure")),
+    "xsens_can": ("can_port.CanImus", ("id_offset", "group_counter")),
+    "dbc_can": (
+        "can_port.CanImus",
+        ("dbc", *AXES, "time", "counter", "acc_unit", "gyr_unit", "time_unit", "id_offset"),
+    ),
+    "ximu3": ("ximu3.Ximu3Imu", ("baudrate",)),
+    "capture2go": ("capture2go_port.Capture2GoImu", ("baudrate", "sync", "sync_id")),
+    "capture2go_ble": ("capture2go_port.Capture2GoRadio", ("sync", "sync_id", "find_s", "packed")),
+    "witmotion": ("witmotion.WitmotionImu", ("baudrate", "configure")),
+    "movella_dot": ("movella_dot.MovellaDotImu", ("find_s",)),
+    "lsl": ("lsl_port.LslImu", (*AXES, "acc_unit", "gyr_unit", "timeout_s")),
+}
 
 
 def open_imus(sensors: Sequence[ImuDevice], bus: Bus | None = None) -> list[ImuPort]:
@@ -47,17 +51,17 @@ def _plan(sensors: Sequence[ImuDevice], bus: Bus) -> list[Callable[[], ImuPort]]
     buses: dict[str, list[ImuDevice]] = {}
     own = f"{bus.interface}:{bus.channel}"
     for device in sensors:
-        if device.device not in OPTIONS:
+        if device.device not in KINDS:
             plan.append(partial(_open_other, device))
             continue
-        known = OPTIONS[device.device]
+        name, known = KINDS[device.device]
         if unknown := sorted(device.options.keys() - set(known)):  # misspelt, it would leave the default without a word
             raise ValueError(
                 f"{device.sensor}: device {device.device!r} has no option {', '.join(unknown)}; it has "
                 f"{', '.join(known)}"
             )
         if device.device not in ON_CAN:
-            plan.append(partial(_open_alone, device))
+            plan.append(partial(_open_kind, name, device))
             continue
         # the session's bus by its other name is the same one, unless a port number tells them apart
         port = "bus" if device.port == own and "port" not in bus.options else device.port
@@ -69,44 +73,14 @@ def _plan(sensors: Sequence[ImuDevice], bus: Bus) -> list[Callable[[], ImuPort]]
         if port != "bus" and not colon:
             raise ValueError(f"{device.sensor}: port = {device.port!r} must be 'bus' or INTERFACE:CHANNEL")
         settings = bus if port == "bus" else Bus(interface=interface, channel=channel)
-        plan.append(partial(_open_on_can, buses[port], settings))
+        plan.append(partial(_open_kind, name, buses[port], settings))
     return plan
 
 
-def _open_on_can(group: list[ImuDevice], settings: Bus) -> ImuPort:
-    from drivers.imu.can_port import CanImus
-
-    return CanImus(group, settings)
-
-
-def _open_alone(device: ImuDevice) -> ImuPort:
-    if device.device == "xbus":
-        from drivers.imu.xbus import XbusImu
-
-        return XbusImu(device)
-    if device.device == "ximu3":
-        from drivers.imu.ximu3 import Ximu3Imu, Ximu3LibraryImu
-
-        return Ximu3LibraryImu(device) if flag_option(device, "library", False) else Ximu3Imu(device)
-    if device.device == "capture2go":
-        from drivers.imu.capture2go_port import Capture2GoImu
-
-        return Capture2GoImu(device)
-    if device.device == "capture2go_ble":
-        from drivers.imu.capture2go_port import Capture2GoBle, Capture2GoBridge
-
-        return Capture2GoBridge(device) if "/" in device.port else Capture2GoBle(device)
-    if device.device == "witmotion":
-        from drivers.imu.witmotion import WitmotionImu
-
-        return WitmotionImu(device)
-    if device.device == "movella_dot":
-        from drivers.imu.movella_dot import MovellaDotImu
-
-        return MovellaDotImu(device)
-    from drivers.imu.lsl_port import LslImu
-
-    return LslImu(device)
+def _open_kind(name: str, *settings: object) -> ImuPort:
+    module, _, kind = name.partition(".")
+    port: ImuPort = getattr(importlib.import_module(f"drivers.imu.{module}"), kind)(*settings)
+    return port
 
 
 def _open_other(device: ImuDevice) -> ImuPort:

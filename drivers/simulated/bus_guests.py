@@ -21,10 +21,10 @@ BURST: Final = 15
 class StopButton(AbstractContextManager["StopButton"]):
     """A stop button: bit 0 of a frame of one byte, every 20 ms and at once when it is pressed; a context manager."""
 
-    def __init__(self, settings: Bus, identifier: int) -> None:
+    def __init__(self, settings: Bus, identifier: int, pressed: bool = False) -> None:
         self._bus = open_bus(settings, frozenset((identifier,)))
         self._identifier = identifier
-        self._pressed = False
+        self._pressed = pressed
         self._task = self._bus.send_periodic(self._frame(), PERIOD_S)
 
     def press(self, pressed: bool = True) -> None:

@@ -12,6 +12,7 @@ a line with the time at which it had taken effect, or answered with what is wron
 end the process. The other end of the conversation is :mod:`drivers.simulated.spawn`.
 """
 
+import argparse
 import contextlib
 import gc
 import heapq
@@ -21,16 +22,28 @@ import os
 import select
 import signal
 import socket
+import struct
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Generic, TypeVar
 
+import can
+
 from drivers.simulated.stimulator.firmware import NEVER
+from drivers.stimulator.bus import MULTICAST, open_bus
+from fes.config import Bus
 from fes.signals import NS_PER_S
 
 STDIN: Final = 0
+CAN_RECORD: Final = struct.Struct(">IB8s")  # identifier, length, data
+FRAMES_AT_ONCE: Final = 64
+READ_ERRORS_IN_A_ROW: Final = 100
+
+
+class BusBroken(RuntimeError):
+    """A device's bus cannot be read any more."""
 
 
 def stop_signals() -> socket.socket:
@@ -56,6 +69,19 @@ def become_real_time() -> bool:
 def publish_ready(**facts: str | int | bool | dict[str, str]) -> None:
     """Publish to whoever started this process that the device runs, and how it is reached."""
     print(json.dumps({"ready": True, "pid": os.getpid(), **facts}), flush=True)
+
+
+def add_bus_options(parser: argparse.ArgumentParser, interface: str = MULTICAST) -> None:
+    """Options that :func:`bus_of` reads."""
+    parser.add_argument("--interface", default=interface, help="python-can interface or loopback (default %(default)s)")
+    parser.add_argument("--channel", default=Bus().channel, help="channel of the interface (default %(default)s)")
+    parser.add_argument("--port", type=int, help="UDP port, for udp_multicast and loopback")
+
+
+def bus_of(options: argparse.Namespace) -> Bus:
+    """The bus that a command line names."""
+    port: dict[str, str | int | float | bool] = {} if options.port is None else {"port": options.port}
+    return Bus(interface=options.interface, channel=options.channel, options=port)
 
 
 def fault_commands(inject: Callable[[str, float], None]) -> Callable[[dict[str, Any]], dict[str, Any]]:
@@ -245,6 +271,60 @@ class UdpEnd(DeviceEnd):
     def unplug(self) -> None:
         """Nothing is sent any more."""
         self._socket.close()
+
+
+class CanEnd(DeviceEnd):
+    """Records of ``CAN_RECORD`` as frames on a bus, of which ``identifiers`` are heard.
+
+    BusError: the bus cannot be opened. BusBroken: reading failed a hundred times in a row.
+    """
+
+    def __init__(self, settings: Bus, identifiers: frozenset[int] = frozenset()) -> None:
+        self.port = "bus"
+        self._bus: can.BusABC | None = open_bus(settings, identifiers)
+        self._listens = bool(identifiers)
+        self._read_errors = 0
+
+    def descriptors(self) -> list[int]:
+        """The bus, where anything is heard."""
+        return [self._bus.fileno()] if self._bus is not None and self._listens else []
+
+    def read(self) -> bytes:
+        """At most 64 frames."""
+        out = b""
+        for _ in range(FRAMES_AT_ONCE if self._bus is not None else 0):
+            message = self._next()
+            if message is None:
+                break
+            if not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                out += CAN_RECORD.pack(message.arbitration_id, len(message.data), bytes(message.data))
+        return out
+
+    def _next(self) -> can.Message | None:
+        assert self._bus is not None
+        try:
+            message = self._bus.recv(timeout=0.0)
+        except (can.CanError, OSError) as error:  # a datagram that is no CAN frame, or a bus that is gone
+            self._read_errors += 1
+            if self._read_errors >= READ_ERRORS_IN_A_ROW:
+                raise BusBroken(f"{self._bus.channel_info}: cannot be read: {error}") from error
+            return None
+        self._read_errors = 0
+        return message
+
+    def write(self, data: bytes) -> None:
+        """Frames that the bus does not take are lost."""
+        for number, length, payload in CAN_RECORD.iter_unpack(data):
+            message = can.Message(arbitration_id=number & 0x7FF, is_extended_id=False, data=payload[: min(length, 8)])
+            with contextlib.suppress(can.CanError, OSError):
+                if self._bus is not None:
+                    self._bus.send(message, timeout=0)
+
+    def unplug(self) -> None:
+        """Leave the bus."""
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
 
 
 class FaultValues(dict[str, float]):

@@ -9,7 +9,6 @@ import json
 import os
 import socket
 import struct
-from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -106,6 +105,12 @@ class Pulse(NamedTuple):
     pulse_width_us: float
 
 
+def pulses_of(entries: Iterable[RecordEntry]) -> list[Pulse]:
+    """The pulses among these entries of a serial device's record."""
+    found = (entry for entry in entries if entry.event == "pulse")
+    return [Pulse(entry.t_ns, entry.channel, entry.current_ma, entry.pulse_width_us) for entry in found]
+
+
 class PulseOutlet:
     """The stimulator's end; ``None`` for the path sends nothing. ``lost`` counts the pulses that nobody took."""
 
@@ -114,26 +119,15 @@ class PulseOutlet:
         self._socket = None if path is None else socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.lost = 0
 
-    def send_made(self, channels: Iterable[deque[tuple[int, float, float]]]) -> None:
-        """Send what each output stage has made since the last call: time, mA, µs."""
-        for number, made in enumerate(channels):
-            while made:
-                t_ns, current_ma, pulse_width_us = made.popleft()
-                self.send(Pulse(t_ns, number, current_ma, pulse_width_us))
-
-    def send_record(self, entries: Iterable[RecordEntry]) -> None:
-        """Send the pulses among these entries of a serial device's record."""
-        for entry in entries:
-            if entry.event == "pulse":
-                self.send(Pulse(entry.t_ns, entry.channel, entry.current_ma, entry.pulse_width_us))
-
-    def send(self, pulse: Pulse) -> None:
-        """Send one; never waits."""
-        try:
-            if self._socket is not None:
+    def send(self, pulses: Iterable[Pulse]) -> None:
+        """Send them, each by itself; never waits."""
+        if self._socket is None:
+            return
+        for pulse in pulses:
+            try:
                 self._socket.sendto(_PULSE.pack(*pulse), socket.MSG_DONTWAIT, str(self._path))
-        except OSError:
-            self.lost += 1
+            except OSError:
+                self.lost += 1
 
     def close(self) -> None:
         """Release the socket."""

@@ -8,9 +8,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-import can
 import numpy as np
 
 from drivers.imu.capture2go_port import Capture2GoImu
@@ -20,6 +19,7 @@ from drivers.imu.xbus import XbusImu
 from drivers.imu.ximu3 import Ximu3Imu
 from drivers.simulated.imu.device import SimulatedImu
 from drivers.simulated.imu.serial_wires import serial_wire
+from drivers.simulated.record import Pulse, pulses_of
 from drivers.simulated.stimulator.firmware import NEVER
 from drivers.simulated.stimulator.in_process import DeviceLine, NodeBus
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
@@ -99,7 +99,7 @@ class HeldByHand:
 class SimulatedTime:
     """Passes where somebody waits, from deadline to deadline of what is on the line."""
 
-    line: "DeviceLine | NodeOnBus"
+    line: DeviceLine | NodeBus
     _stood_ns: int = -1
 
     def now_ns(self) -> int:
@@ -167,48 +167,12 @@ def simulated_sensor(
     return SensorBench(settings, port, SimulatedTime(line), SensorPerson(line, feels))
 
 
-class OnePulse(NamedTuple):
-    """As the output stage put it out."""
-
-    t_ns: int
-    current_ma: float
-    width_us: float
-
-
-class NodeOnBus(NodeBus):
-    """A bus on which waiting lets the node's time pass."""
-
-    @property
-    def t_ns(self) -> int:
-        """The node's time."""
-        return self._t_ns
-
-    def clock_ns(self) -> int:
-        """The same, for a handshake's deadline."""
-        return self._t_ns
-
-    def wait(self, timeout_s: float) -> None:
-        """Until the node has something to do, at most ``timeout_s``."""
-        if self._frames:
-            return
-        end_ns = self._t_ns + max(int(timeout_s * NS_PER_S), 1)
-        self.advance(min(max(self.node.next_deadline_ns(), self._t_ns), end_ns))
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._frames and timeout:
-            self.wait(timeout)
-        return super()._recv_internal(timeout)
-
-    def shutdown(self) -> None:
-        """It is opened again."""
-
-
 @dataclass(eq=False)
 class StimulatorPerson:
     """Reads what the output stage put out since the oscilloscope was last made ready; presses its own switch."""
 
-    line: DeviceLine | NodeOnBus
-    _seen: list[OnePulse] = field(default_factory=list)
+    line: DeviceLine | NodeBus
+    _seen: list[Pulse] = field(default_factory=list)
     _presses: bool = False
     _pressed_ns: int = NEVER
 
@@ -238,7 +202,7 @@ class StimulatorPerson:
         if key == "ma":
             return float(np.median([pulse.current_ma for pulse in end]))
         if key == "us":
-            return float(np.median([pulse.width_us for pulse in end]))
+            return float(np.median([pulse.pulse_width_us for pulse in end]))
         if key == "interval_ms":
             return float(np.median(np.diff(burst_ns))) / 1e6 if len(burst_ns) > 1 else 0.0
         if key == "length_ms":
@@ -258,12 +222,11 @@ class StimulatorPerson:
 
     def collect(self) -> None:
         """Take what was put out since."""
-        if isinstance(self.line, NodeOnBus):
-            self._seen += [OnePulse(p.t_ns, p.current_ma, p.pulse_width_us) for p in self.line.pulses]
+        if isinstance(self.line, NodeBus):
+            self._seen += self.line.pulses
             self.line.pulses.clear()
         elif isinstance(self.line.device, SimulatedDevice):
-            entries = [entry for entry in self.line.device.take_record() if entry.event == "pulse"]
-            self._seen += [OnePulse(entry.t_ns, entry.current_ma, entry.pulse_width_us) for entry in entries]
+            self._seen += pulses_of(self.line.device.take_record())
 
 
 @dataclass(eq=False)
@@ -291,14 +254,14 @@ def stimulator_session(kind: str) -> Session:
 
 
 def simulated_stimulator(
-    kind: str, device: SimulatedDevice | None = None, bus: NodeOnBus | None = None
+    kind: str, device: SimulatedDevice | None = None, bus: NodeBus | None = None
 ) -> StimulatorBench:
     """A bench with a simulated stimulator of this kind; the ``device`` on its line, or the ``bus``, may be another."""
     session = stimulator_session(kind)
     opener: Callable[[int], Port]
-    line: DeviceLine | NodeOnBus
+    line: DeviceLine | NodeBus
     if kind == "can":
-        line = node = bus or NodeOnBus(1, START_NS)
+        line = node = bus or NodeBus(1, START_NS)
         sessions = iter(range(SESSION_ID % APART, 1 << 16, APART))
 
         def open_on_bus(t_ns: int) -> Port:

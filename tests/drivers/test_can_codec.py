@@ -206,21 +206,27 @@ def test_commands_round_trip_rounded_down(
         assert (got.current_ma, got.pulse_width_us, got.frequency_hz) == (0.0, 0.0, 0.0)
 
 
-@given(st.integers(0, 15), st.integers(0, 65535), st.integers(0, 65535), st.integers(0, 255), st.integers(0, 255))
-def test_alive_round_trips(counter: int, boot_id: int, session_id: int, rejected: int, faults: int) -> None:
-    alive = Alive(counter, 1, boot_id, session_id, rejected, faults)
-    assert can_codec.decode(*can_codec.encode(alive)) == alive
+BYTES, IDENTIFIERS = st.integers(0, 255), st.integers(0, 65535)
 
 
-@given(st.integers(0, 15), st.integers(0, 65535), st.integers(0, 7), st.integers(0, 255), st.integers(0, 2**24 - 1))
-def test_charge_round_trips(counter: int, session_id: int, channel: int, pulses: int, charge: int) -> None:
-    message = Charge(counter, session_id, channel, pulses, charge)
-    assert can_codec.decode(*can_codec.encode(message)) == message
-
-
-@given(st.integers(0, 127), st.booleans(), st.integers(0, 511), st.integers(0, 511), st.sampled_from(Result))
-def test_status_round_trips(counter: int, on: bool, current_steps: int, width: int, result: Result) -> None:
-    message = Status(counter, 9, 2, on, current_steps * 0.5, float(width), 40.0, result)
+@given(
+    st.one_of(
+        st.builds(Alive, st.integers(0, 15), st.just(1), IDENTIFIERS, IDENTIFIERS, BYTES, BYTES),
+        st.builds(Charge, st.integers(0, 15), IDENTIFIERS, st.integers(0, 7), BYTES, st.integers(0, 2**24 - 1)),
+        st.builds(
+            Status,
+            counter=st.integers(0, 127),
+            session_id=IDENTIFIERS,
+            channel=st.integers(0, 7),
+            on=st.booleans(),
+            current_ma=st.integers(0, 511).map(lambda steps: steps * 0.5),
+            pulse_width_us=st.integers(0, 511).map(float),
+            frequency_hz=st.integers(0, 127).map(float),
+            result=st.sampled_from(Result),
+        ),
+    )
+)
+def test_what_the_node_says_round_trips(message: Alive | Charge | Status) -> None:
     assert can_codec.decode(*can_codec.encode(message)) == message
 
 

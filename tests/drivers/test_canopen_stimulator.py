@@ -319,7 +319,7 @@ def test_an_expedited_download() -> None:
         ({"node_id": 0}, "node_id = 0"),
         ({"current_index": 0x1017}, "current_index"),
         ({"width_index": simulated.CURRENT_INDEX}, "are both 0x3200"),
-        ({"value_bytes": 3}, "1, 2 or 4"),
+        *(({"value_bytes": value}, "1, 2 or 4") for value in (1.0, True, "1", 3)),
         ({"current_step_ma": 0.0}, "above 0"),
         ({"speed": 1}, "speed"),
     ],

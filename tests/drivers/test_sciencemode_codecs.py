@@ -7,16 +7,13 @@ from itertools import combinations
 
 import pytest
 from replays import Burst, bursts, replay, write_cut
+from test_sciencemode_ports import KINDS, MS, Bench
 
 from drivers.simulated.record import RecordEntry
-from drivers.simulated.stimulator.in_process import DeviceLine
-from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
-from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.stimulator import p24_port as sm4
 from drivers.stimulator import rehastim2_port as sm2
-from drivers.stimulator.p24_port import LowLevelStimulator, MidLevelStimulator, Point, Train, biphasic
-from drivers.stimulator.rehastim2_port import RehaStim2
-from drivers.stimulator.sciencemode import FrameDecoder, FrameRejected, Packet, ScienceModePort, stuff, unstuff
+from drivers.stimulator.p24_port import Point, Train, biphasic
+from drivers.stimulator.sciencemode import FrameDecoder, FrameRejected, Packet, stuff, unstuff
 from fes.signals import StimCommand, StimStatus
 from fes.stimulation.dose import DoseLedger
 
@@ -198,8 +195,6 @@ def test_every_result_has_words() -> None:
 # --- A walking session's own commands through the ScienceMode ports to the simulated devices ---
 
 
-MS = 1_000_000
-KINDS = ("low", "mid", "rehastim2")
 DELIVERED_WITHIN_NS = {"low": 0, "mid": 0, "rehastim2": 12 * MS}
 SILENT_WITHIN_NS = {"low": 0, "mid": 2000 * MS, "rehastim2": 12 * MS}
 
@@ -228,29 +223,16 @@ def deliver(
     kind: str, commands: list[StimCommand], then_ns: int = 0
 ) -> tuple[list[RecordEntry], list[StimStatus], list[str]]:
     """The pulses, the statuses and the faults; after the last command only time passes."""
-    begin_ns = commands[0].t_ns - 1000 * MS
-    device = ScienceMode2Device(begin_ns) if kind == "rehastim2" else ScienceMode4Device(begin_ns)
-    line = DeviceLine(device, begin_ns)
-    port: ScienceModePort
-    if kind == "low":
-        port = LowLevelStimulator(line, 1)
-    elif kind == "mid":
-        port = MidLevelStimulator(line, 1, accept_watchdog_s=2.0)
-    else:
-        port = RehaStim2(line, 1, (0,))
-    port.open(0, timeout_s=0.9, clock_ns=line.clock_ns)
-    statuses: list[StimStatus] = []
-    faults: list[str] = []
+    bench = Bench(kind, (0,), commands[0].t_ns - 1000 * MS)
     for command in commands:
-        while line.t_ns + 2 * MS < command.t_ns:  # the loop polls at every sample
-            line.advance(line.t_ns + 2 * MS)
-            for event in port.poll(line.t_ns):
-                faults += [event.fault] if event.fault else []
-                statuses += [event] if isinstance(event, StimStatus) else []
-        line.advance(command.t_ns)
-        port.send(command)
-    line.advance(line.t_ns + then_ns)
-    return [e for e in line.device.take_record() if e.event == "pulse"], statuses, faults
+        while bench.t_ns + 2 * MS < command.t_ns:  # the loop polls at every sample
+            bench.turn(for_ms=2)
+        bench.line.advance(command.t_ns)
+        bench.port.send(command)
+    bench.line.advance(bench.t_ns + then_ns)
+    bench.record += bench.device.take_record()
+    assert bench.lost == ""
+    return bench.pulses, bench.statuses, bench.faults
 
 
 def burst_of(pulse: RecordEntry, made: list[Burst], slack_ns: int) -> Burst | None:

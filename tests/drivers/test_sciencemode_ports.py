@@ -36,10 +36,10 @@ def command(t_ns: int, channel: int = 1, on: bool = True, **values: Any) -> Stim
 class Bench:
     """Port and device; a turn sends commands, lets 20 ms pass in steps of 2 ms, and polls at each."""
 
-    def __init__(self, kind: str, channels: tuple[int, ...] = (1,)) -> None:
+    def __init__(self, kind: str, channels: tuple[int, ...] = (1,), t_ns: int = 0) -> None:
         self.device: SimulatedDevice
-        self.device = ScienceMode2Device(0) if kind == "rehastim2" else ScienceMode4Device(0)
-        self.line = DeviceLine(self.device)
+        self.device = ScienceMode2Device(t_ns) if kind == "rehastim2" else ScienceMode4Device(t_ns)
+        self.line = DeviceLine(self.device, t_ns)
         self.port: ScienceModePort
         if kind == "low":
             self.port = LowLevelStimulator(self.line, 7)

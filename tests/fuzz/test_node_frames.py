@@ -170,18 +170,6 @@ def test_command_that_is_held_back_is_refused_whenever_it_comes(held: int) -> No
             assert executed(node) == 0
 
 
-@pytest.mark.requirement("SR-14")
-@pytest.mark.parametrize("lost", range(6))
-def test_two_lost_commands_are_forgiven_and_three_are_not(lost: int) -> None:
-    node, number = opened(), 0
-    while number < 600:
-        assert result_of(node.receive(0, *can_codec.encode_command(command(), number, SESSION))) is Result.OK
-        after = number + 1 + lost
-        result = result_of(node.receive(0, *can_codec.encode_command(command(), after, SESSION)))
-        assert result is (Result.OK if lost <= 2 else Result.BAD_COUNTER)
-        number = after + 1 if lost <= 2 else number + 1
-
-
 class Wire:
     """A controller, its node, and somebody who remembers every frame; a controller opens a new session when it must."""
 

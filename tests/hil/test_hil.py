@@ -23,9 +23,9 @@ from drivers.simulated.bus_guests import StopButton, flipped, random_frames
 from drivers.simulated.can_link import LinkLoop, SlcanDecoder, SlcanFront, encode_frame, waiting_frames
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.imu.wire import LSL_RECORD, LslWire
-from drivers.simulated.lines import PtyEnd
-from drivers.simulated.record import RecordEntry, RecordReader, RecordWriter
-from drivers.simulated.stimulator.can_node import NodeLoop
+from drivers.simulated.lines import CanEnd, DeviceLoop, PtyEnd
+from drivers.simulated.record import RecordEntry, RecordReader
+from drivers.simulated.stimulator.can_node import NodeDevice
 from drivers.simulated.stimulator.firmware import StimulatorNode
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import COMMAND_ID, FrameRejected, decode, encode_command
@@ -637,10 +637,13 @@ def test_the_node_takes_its_faults_while_it_runs() -> None:
 
 
 def test_a_node_loop_knows_the_faults_of_its_line() -> None:
-    loop = NodeLoop(StimulatorNode(1, 0), can.Bus(interface="virtual"), RecordWriter(None), [])
-    loop._inject("mute", 1.0)
+    end = CanEnd(Bus(interface="virtual"))
+    loop = DeviceLoop(NodeDevice(StimulatorNode(1, 0)), end, -1)
+    loop.inject("mute", 1.0)
+    loop.inject("weak", 1.0)
     with pytest.raises(ValueError):
-        loop._inject("mute", -1.0)
+        loop.inject("mute", -1.0)
+    end.unplug()
 
 
 def test_a_port_on_an_adapter_that_is_gone_closes_all_the_same() -> None:

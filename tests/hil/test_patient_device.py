@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.imu import xbus
-from drivers.simulated.record import Pulse, PulseInlet, PulseOutlet, RecordEntry
+from drivers.simulated.record import Pulse, PulseInlet, PulseOutlet, RecordEntry, pulses_of
 from drivers.simulated.stimulator.firmware import StimulatorNode
 from fes.hil.closed_loop.patient_process import HELD, PatientDevice
 from fes.signals import NS_PER_S
@@ -173,18 +173,18 @@ def test_every_pulse_of_a_stage_is_told_by_its_own_time_even_when_the_node_was_l
     node = StimulatorNode(1, 0)
     node.channels[2].drive(0, (20.0, 250.0, 40.0), 60)
     node.advance(55 * MS)  # three pulses at once
-    outlet.send_made(channel.made for channel in node.channels)
+    outlet.send(node.take_pulses())
     assert inlet.receive() == [Pulse(t_ms * MS, 2, 20.0, 250.0) for t_ms in (0, 25, 50)]
     node.advance(500 * MS)  # the lease has ended
-    outlet.send_made(channel.made for channel in node.channels)
-    outlet.send_record([RecordEntry(5, "pulse", 1, 18.0, 300.0), RecordEntry(6, "off", 1)])
+    outlet.send(node.take_pulses())
+    outlet.send(pulses_of([RecordEntry(5, "pulse", 1, 18.0, 300.0), RecordEntry(6, "off", 1)]))
     assert inlet.receive() == [Pulse(5, 1, 18.0, 300.0)]
     inlet.close()
-    outlet.send(Pulse(7, 0, 1.0, 1.0))  # nobody is there any more
+    outlet.send([Pulse(7, 0, 1.0, 1.0)])  # nobody is there any more
     assert outlet.lost == 1
     outlet.close()
     assert not (tmp_path / "p").exists()
-    PulseOutlet(None).send(Pulse(7, 0, 1.0, 1.0))
+    PulseOutlet(None).send([Pulse(7, 0, 1.0, 1.0)])
 
 
 def test_nothing_but_pulses_comes_out_of_the_socket(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ PARTS = {
     ),
     "port": (
         ["drivers/stimulator/can_port.py", "drivers/stimulator/e2e.py"],
-        [f"tests/drivers/test_can_{name}.py" for name in ("port", "port_frames", "answers", "codec")],
+        [f"tests/drivers/test_can_{name}.py" for name in ("port", "port_frames", "codec")],
     ),
     "plan": (
         ["fes/stimulation/plan.py", "fes/stimulation/envelope.py"],

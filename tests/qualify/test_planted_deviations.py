@@ -13,7 +13,7 @@ from drivers.simulated.imu.device import SimulatedImu
 from drivers.simulated.imu.serial_wires import serial_wire
 from drivers.simulated.imu.wire import Reading, Wire, XbusWire
 from drivers.simulated.stimulator.firmware import NodeFaults, OutputChannel
-from drivers.simulated.stimulator.in_process import DeviceLine
+from drivers.simulated.stimulator.in_process import DeviceLine, NodeBus
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.simulated.stimulator.serial_device import SimulatedDevice
@@ -25,7 +25,6 @@ from fes.qualify.simulated import (
     START_NS,
     STIMULATORS,
     HeldByHand,
-    NodeOnBus,
     simulated_sensor,
     simulated_stimulator,
 )
@@ -284,7 +283,7 @@ def p24(**how: Any) -> StimulatorBench:
 
 
 def on_can(faults: NodeFaults) -> StimulatorBench:
-    return simulated_stimulator("can", bus=NodeOnBus(1, START_NS, faults))
+    return simulated_stimulator("can", bus=NodeBus(1, START_NS, faults))
 
 
 class Unending(OutputChannel):
@@ -295,7 +294,7 @@ class Unending(OutputChannel):
 
 
 def on_can_unending() -> StimulatorBench:
-    bus = NodeOnBus(1, START_NS)
+    bus = NodeBus(1, START_NS)
     bus.node.channels = tuple(Unending() for _ in bus.node.channels)
     return simulated_stimulator("can", bus=bus)
 

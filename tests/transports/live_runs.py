@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -17,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-import can
 import numpy as np
 from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
@@ -33,7 +31,6 @@ from drivers.simulated.spawn import (
     spawn_imu,
     spawn_node,
 )
-from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
 from fes.config import Bus
 from fes.live.operator import ASKED
@@ -496,37 +493,3 @@ def faults_named(record: SessionRecord) -> list[str]:
     notes = [note.text for note in record.notes if note.severity == "fault"]
     events = [*record.statuses, *record.alive]
     return [*notes, *(fault.text for fault in record.faults), *(event.fault for event in events if event.fault)]
-
-
-class Button:
-    """A bit of a CAN frame, sent at once when it changes and every 20 ms, by whoever holds it."""
-
-    def __init__(self, bus: Bus, identifier: int, bit: int) -> None:
-        self._bus = open_bus(bus, frozenset())
-        self._identifier, self._bit = identifier, bit
-        self._pressed: bool | None = None
-        self._one_at_a_time = threading.Lock()  # or what it was could be sent once more behind what it is
-        self._over = threading.Event()
-        self._repeating = threading.Thread(target=self._repeat, daemon=True)
-        self._repeating.start()
-
-    def set(self, pressed: bool) -> None:
-        """Send it so, now and on."""
-        with self._one_at_a_time:
-            self._pressed = pressed
-            self._send(pressed)
-
-    def close(self) -> None:
-        self._over.set()
-        self._repeating.join(5)
-        self._bus.shutdown()
-
-    def _repeat(self) -> None:
-        while not self._over.wait(0.02):
-            with self._one_at_a_time:
-                if self._pressed is not None:
-                    self._send(self._pressed)
-
-    def _send(self, pressed: bool) -> None:
-        data = (int(pressed) << self._bit).to_bytes(2, "little")
-        self._bus.send(can.Message(arbitration_id=self._identifier, data=data, is_extended_id=False))

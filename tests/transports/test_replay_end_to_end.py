@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from processes import alive
 from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
 
 from drivers.simulated.record import RecordEntry, read_record
@@ -239,17 +240,9 @@ def test_the_simulated_node_ends_with_a_killed_replay(recording: Path, tmp_path:
         process.kill()
         process.wait(10)
         end_s = time.monotonic() + 10.0
-        while any(is_running(int(pid)) for pid in children) and time.monotonic() < end_s:
+        while any(alive(int(pid)) for pid in children) and time.monotonic() < end_s:
             time.sleep(0.01)
-        assert not [pid for pid in children if is_running(int(pid))]
-
-
-def is_running(pid: int) -> bool:
-    """Whether the process exists and is more than a zombie that nobody has collected."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
+        assert not [pid for pid in children if alive(int(pid))]
 
 
 def test_a_replay_by_recorded_time_is_delivered_as_sent_and_the_same_twice(recording: Path, tmp_path: Path) -> None:

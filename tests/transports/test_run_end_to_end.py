@@ -13,7 +13,7 @@ from processes import gone_after_s
 from replays import MS
 
 from drivers.simulated.spawn import free_bus, why_silent
-from fes.cli.common import INTERRUPTED, OK, STOPPED
+from fes.cli.common import INTERRUPTED, OK
 from fes.cli.replay.command import repeat
 from fes.session_log import read_session
 
@@ -118,11 +118,12 @@ def test_the_space_bar_stops_a_killed_view_does_not_and_arming_is_by_hand(
 
 def test_killed_in_mid_burst_the_lease_ends_it_and_the_log_is_there(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = loop
-    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+    with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
         run.armed_at()
         run.in_mid_burst()
-        helpers = run.children("log_process") + run.children("run.supervisor")
-        assert len(helpers) == 2
+        modules = ("log_process", "run.supervisor", "fes.live.terminal_view")
+        helpers = [pid for module in modules for pid in run.children(module)]
+        assert len(helpers) == len(modules)
         before_ns = time.monotonic_ns()
         blow_ns = run.struck(signal.SIGKILL)
         run.process.wait(10)
@@ -190,28 +191,6 @@ def test_an_unplugged_sensor_is_off_in_time_and_comes_back_without_arming(
         assert back.state == "fault"
         assert run.stays_off(run.off_ns, 0.5)
         run.quit()
-        assert repeat(run.log).difference == ""
-
-
-@pytest.mark.slow
-def test_a_dead_log_writer_ends_the_session_safely_within_a_second(loop: tuple[Path, Path], tmp_path: Path) -> None:
-    recording, calibration = loop
-    with live_run(tmp_path, recording, "--calibration", calibration) as run:
-        run.armed_at()
-        run.in_mid_burst()
-        (writer,) = run.children("log_process")
-        before_ns = time.monotonic_ns()
-        os.kill(writer, signal.SIGKILL)
-        blow_ns = time.monotonic_ns()
-        off_ms = run.off_after_ms(blow_ns)
-        print(f"off {off_ms:.1f} ms after the log's writer died")
-        said = run.end()
-        assert off_ms <= 1000
-        assert run.process.returncode == STOPPED, said
-        assert "ALARM" in said
-        assert "Traceback" not in said
-        record = read_session(run.log)
-        assert before_ns - int(record.samples[FOOT].t_ns[-1]) <= 250 * MS
         assert repeat(run.log).difference == ""
 
 

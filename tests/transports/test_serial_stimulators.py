@@ -319,6 +319,7 @@ def test_a_fault_that_nobody_knows_is_refused() -> None:
     [
         (StimulatorDevice(device="p24_mid_level", port="/dev/none"), "accept_watchdog_s = 2"),
         (StimulatorDevice(device="p24_mid_level", port="x", options={"accept_watchdog_s": "yes"}), "number of seconds"),
+        (StimulatorDevice(device="p24_mid_level", port="x", options={"accept_watchdog_s": True}), "number of seconds"),
         (StimulatorDevice(device="p24_low_level", port="x", options={"modell": "p24"}), "it has baudrate, model"),
         (StimulatorDevice(device="p24_low_level", port="x", options={"model": "p25"}), "one of: p24, rehamove3"),
         (StimulatorDevice(device="p24_low_level", port="x", options={"baudrate": True}), "whole number"),

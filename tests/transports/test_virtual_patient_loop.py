@@ -28,7 +28,7 @@ from statistics import median
 
 import numpy as np
 import pytest
-from campaigns import HELD_UP_MS, faults_but_lost_time
+from test_hil_end_to_end import HELD_UP_MS, faults_but_lost_time
 
 from drivers.imu.port import ImuLost
 from drivers.simulated.record import RecordEntry, read_record

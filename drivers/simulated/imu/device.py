@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -211,13 +212,28 @@ AT_ONCE: Final = 4  # notifications at one moment of the connection
 NO_REAL_TIME: Final = b"\xff"
 
 
+def record(characteristic: int, value: bytes) -> bytes:
+    """A value of a characteristic on a line: both numbers have two bytes, the least significant first."""
+    return struct.pack("<HH", characteristic, len(value)) + value
+
+
+def records(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
+    """The records that are complete, characteristic and value, and what is left."""
+    found = []
+    while len(data) >= 4 and len(data) >= (end := 4 + int.from_bytes(data[2:4], "little")):
+        found.append((int.from_bytes(data[:2], "little"), data[4:end]))
+        data = data[end:]
+    return found, data
+
+
 @dataclass
 class Radio(Device):
     """One connection; its moments are ``interval_s`` apart, and a share ``fails`` of them fails.
 
     ``away_until_ns``: until then all fail (a burst, a body in between). ``lose``: so many of the next notifications the
-    host's system loses. ``framed``: each after its length in two bytes, for a line. ``whole``: each message is a
-    notification as it is, or a Capture2Go's stream is cut into such.
+    host's system loses. ``whole``: each message is a notification as it is, or a Capture2Go's stream is cut into such.
+    ``characteristics``: of what the host writes and of notifications, which then are records of a line; None: they are
+    as they are.
     """
 
     imu: SimulatedImu
@@ -227,15 +243,19 @@ class Radio(Device):
     seed: int = 1
     away_until_ns: int = 0
     lose: int = 0
-    framed: bool = False
     whole: bool = False
+    characteristics: tuple[int, int] | None = None
     _waiting: list[bytes] = field(default_factory=list)
+    _written: bytes = b""
 
     def __post_init__(self) -> None:
         self._chance = random.Random(self.seed)
 
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """A command; its answer waits its turn."""
+        if self.characteristics is not None:
+            values, self._written = records(self._written + data)
+            data = b"".join(value for number, value in values if number == self.characteristics[0])
         self._waiting += self.imu.receive(t_ns, data)
         return []
 
@@ -279,7 +299,7 @@ class Radio(Device):
                 if self.lose:
                     self.lose -= 1
                 else:
-                    out.append(len(sent).to_bytes(2, "little") + sent if self.framed else sent)
+                    out.append(record(self.characteristics[1], sent) if self.characteristics else sent)
         self._waiting += self.imu.advance(t_ns)
         return out
 

@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import can
-
 from drivers.simulated.imu import wire as wires
 from drivers.simulated.imu.device import SimulatedImu, recorded_signal, walking_signal
 from drivers.simulated.imu.serial_wires import SERIAL_WIRES, on_its_line, serial_wire
 from drivers.simulated.lines import (
+    CanEnd,
     DeviceEnd,
     DeviceLoop,
     PtyEnd,
@@ -30,30 +29,7 @@ from drivers.simulated.lines import (
     publish_ready,
     stop_signals,
 )
-from drivers.stimulator.bus import open_bus
 from fes.config import Bus
-
-
-class CanEnd(DeviceEnd):
-    """Records of ``CAN_RECORD`` as frames on a bus."""
-
-    def __init__(self, settings: Bus) -> None:
-        self.port = "bus"
-        self._bus: can.BusABC | None = open_bus(settings, frozenset())
-
-    def write(self, data: bytes) -> None:
-        """Frames that the bus does not take are lost."""
-        for number, length, payload in wires.CAN_RECORD.iter_unpack(data):
-            message = can.Message(arbitration_id=number & 0x7FF, is_extended_id=False, data=payload[: min(length, 8)])
-            with contextlib.suppress(can.CanError, OSError):
-                if self._bus is not None:
-                    self._bus.send(message, timeout=0)
-
-    def unplug(self) -> None:
-        """Leave the bus."""
-        if self._bus is not None:
-            self._bus.shutdown()
-            self._bus = None
 
 
 class LslEnd(DeviceEnd):

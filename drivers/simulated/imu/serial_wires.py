@@ -25,7 +25,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
 
-from drivers.simulated.imu.device import Radio, SimulatedImu
+from drivers.simulated.imu.device import Radio, SimulatedImu, record, records
 from drivers.simulated.imu.wire import SERIAL, Reading, Wire, XbusWire, Ximu3Wire
 from drivers.simulated.lines import FaultValues
 from fes.signals import G_MPS2, NS_PER_S
@@ -308,19 +308,15 @@ class MovellaDotWire(Wire):
             return []
         rates_dps = [math.degrees(rate) for rate in reading.gyr_radps]
         stamp_us = reading.t_device_ns // 1000 % 2**32
-        return [_record(0x2003, struct.pack("<I6f12x", stamp_us, *reading.acc_mps2, *rates_dps))]
+        return [record(0x2003, struct.pack("<I6f12x", stamp_us, *reading.acc_mps2, *rates_dps))]
 
     def answer(self, data: bytes, t_device_ns: int) -> list[bytes]:
         """Values that are asked for; those that it is given it takes."""
-        self._buffer += data
+        written, self._buffer = records(self._buffer + data)
         out: list[bytes] = []
-        while len(self._buffer) >= 4:
-            number, size = struct.unpack_from("<HH", self._buffer)
-            if len(self._buffer) < 4 + size:
-                break
-            value, self._buffer = self._buffer[4 : 4 + size], self._buffer[4 + size :]
+        for number, value in written:
             if not value:
-                out.append(_record(number, self._read(number)))
+                out.append(record(number, self._read(number)))
             elif number == 0x2001 and value[0] == 1:
                 self._measures, self._payload = value[1] == 1, value[2]
             elif number == 0x1002 and value[0] & 0x10 and not self._measures:
@@ -332,12 +328,7 @@ class MovellaDotWire(Wire):
         return {0x1001: INFO, 0x1002: control, 0x2001: bytes((1, self._measures, self._payload))}.get(number, b"")
 
 
-def _record(number: int, value: bytes) -> bytes:
-    return struct.pack("<HH", number, len(value)) + value
-
-
 SERIAL_WIRES: Final = ("xbus", "ximu3", "capture2go", "capture2go_ble", "witmotion", "movella_dot")
-BY_RADIO: Final = ("capture2go_ble", "movella_dot")  # whose notifications come over the line
 
 
 def serial_wire(kind: str, rate_hz: float, serial: str = SERIAL, air: Air | None = None) -> Wire:
@@ -351,5 +342,6 @@ def serial_wire(kind: str, rate_hz: float, serial: str = SERIAL, air: Air | None
 
 def on_its_line(kind: str, imu: SimulatedImu, t_ns: int) -> SimulatedImu | Radio:
     """The sensor, or the radio that it is behind."""
-    whole = kind == "movella_dot"
-    return Radio(imu, t_ns, framed=not whole, whole=whole) if kind in BY_RADIO else imu
+    if kind == "capture2go_ble":
+        return Radio(imu, t_ns, characteristics=(0x0002, 0x0003))
+    return Radio(imu, t_ns, whole=True) if kind == "movella_dot" else imu

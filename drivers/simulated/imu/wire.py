@@ -15,9 +15,9 @@ from cantools.database.can import Database, Message, Signal
 
 from drivers.imu import xbus, ximu3
 from drivers.imu.xbus import Mid, Xdi
+from drivers.simulated.lines import CAN_RECORD
 from fes.signals import G_MPS2, Vector3
 
-CAN_RECORD: Final = struct.Struct(">IB8s")  # identifier, length, data
 LSL_RECORD: Final = struct.Struct(">7d")  # stamp in s, acceleration, rate
 CLIP_FLAGS: Final = xbus.CLIPPED_ACC | xbus.CLIPPED_GYR | xbus.CLIPPED_ANY
 AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")

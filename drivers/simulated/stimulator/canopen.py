@@ -16,11 +16,10 @@ import can
 import canopen
 from canopen.objectdictionary import UNSIGNED8, ObjectDictionary, ODArray, ODVariable
 
-from drivers.simulated.lines import publish_ready
+from drivers.simulated.lines import add_bus_options, bus_of, publish_ready
 from drivers.simulated.record import RecordEntry, RecordWriter
 from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
 from drivers.stimulator.canopen_port import SYNC_ID
-from fes.config import Bus
 
 CURRENT_INDEX: Final = 0x3200
 WIDTH_INDEX: Final = 0x3201
@@ -109,16 +108,13 @@ class CanOpenDevice:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the device until its stdin closes; exit status 2 when the bus cannot be opened."""
     parser = argparse.ArgumentParser(prog="canopen_device", description="A simulated CANopen stimulator.")
-    parser.add_argument("--interface", default=LOOPBACK, help="python-can interface, or loopback (default %(default)s)")
-    parser.add_argument("--channel", default=Bus().channel, help="channel of the interface (default %(default)s)")
-    parser.add_argument("--port", type=int, help="UDP port, for udp_multicast and loopback")
+    add_bus_options(parser, LOOPBACK)
     parser.add_argument("--node-id", type=int, default=1, help="1 to 127 (default %(default)s)")
     parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
     options = parser.parse_args(arguments)
-    port: dict[str, str | int | float | bool] = {} if options.port is None else {"port": options.port}
     wanted = frozenset((0x000, SYNC_ID, 0x600 + options.node_id))
     try:
-        bus = open_bus(Bus(interface=options.interface, channel=options.channel, options=port), wanted)
+        bus = open_bus(bus_of(options), wanted)
     except BusError as error:
         print(f"canopen_device: {error}", file=sys.stderr)
         return 2

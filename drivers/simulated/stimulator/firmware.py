@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final
 
-from drivers.simulated.record import RecordEntry
+from drivers.simulated.record import Pulse, RecordEntry
 from drivers.stimulator import can_codec
 from drivers.stimulator.can_codec import NO_SESSION, Alive, Charge, Command, Fault, Frame, Result, SessionOpen, Status
 from drivers.stimulator.e2e import COUNTS, carried, command_number
@@ -241,6 +241,13 @@ class StimulatorNode:
         """What happened since the last call."""
         entries, self._record = self._record, []
         return entries
+
+    def take_pulses(self) -> list[Pulse]:
+        """The pulses since the last call, but no more than the newest 64 of each channel."""
+        pulses = [Pulse(t_ns, n, *levels) for n, channel in enumerate(self.channels) for t_ns, *levels in channel.made]
+        for channel in self.channels:
+            channel.made.clear()
+        return pulses
 
     def _boot(self, t_ns: int, boot_id: int) -> None:
         self.boot_id = boot_id

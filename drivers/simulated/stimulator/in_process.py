@@ -11,6 +11,7 @@ from itertools import count
 import can
 
 from drivers.simulated.lines import Device, LineFaults
+from drivers.simulated.record import Pulse
 from drivers.simulated.stimulator.firmware import NodeFaults, StimulatorNode
 from drivers.stimulator.can_codec import Frame
 from drivers.stimulator.can_port import CanStimulator, Handshake
@@ -70,43 +71,49 @@ class DeviceLine:
 
 
 class NodeBus(can.BusABC):
-    """A bus with one simulated stimulator on it and no wire; time passes by :meth:`advance`."""
+    """A bus with one simulated stimulator on it and no wire; time passes by :meth:`advance`, and while one waits."""
 
     def __init__(self, boot_id: int, t_ns: int, faults: NodeFaults | None = None) -> None:
         super().__init__(channel="in process")
         self.channel_info = "simulated stimulator in this process"
         self.node = StimulatorNode(boot_id, t_ns, faults)
-        self.pulses: list[DeliveredPulse] = []
-        self._t_ns = t_ns
+        self.pulses: list[Pulse] = []
+        self.t_ns = t_ns
         self._frames: deque[Frame] = deque()
-        self._counts = [channel.pulses for channel in self.node.channels]
 
     def advance(self, t_ns: int) -> None:
         """Let the node live on to ``t_ns``, from deadline to deadline, so that each pulse is seen by itself."""
         while (deadline_ns := self.node.next_deadline_ns()) <= t_ns:
-            self._t_ns = max(self._t_ns, deadline_ns)
-            levels = [channel.levels for channel in self.node.channels]
-            self._frames.extend(self.node.advance(self._t_ns))
-            self._note(levels)
-        self._t_ns = max(self._t_ns, t_ns)
+            self.t_ns = max(self.t_ns, deadline_ns)
+            self._frames.extend(self.node.advance(self.t_ns))
+            self.pulses += self.node.take_pulses()
+        self.t_ns = max(self.t_ns, t_ns)
+
+    def clock_ns(self) -> int:
+        """The node's time, for a handshake's deadline."""
+        return self.t_ns
+
+    def wait(self, timeout_s: float) -> None:
+        """Until the node has something to do, at most ``timeout_s`` of its time; not at all when a frame has come."""
+        if not self._frames:
+            end_ns = self.t_ns + max(int(timeout_s * NS_PER_S), 1)
+            self.advance(min(max(self.node.next_deadline_ns(), self.t_ns), end_ns))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """To the node, now; a pulse that it makes at once counts too."""
-        self._frames.extend(self.node.receive(self._t_ns, msg.arbitration_id, bytes(msg.data)))
-        self._note([channel.levels for channel in self.node.channels])
+        self._frames.extend(self.node.receive(self.t_ns, msg.arbitration_id, bytes(msg.data)))
+        self.pulses += self.node.take_pulses()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if timeout:
+            self.wait(timeout)
         if not self._frames:
             return None, False
         identifier, data = self._frames.popleft()
         return can.Message(arbitration_id=identifier, data=data, is_extended_id=False), False
 
-    def _note(self, levels: list[tuple[float, float, float]]) -> None:
-        for number, channel in enumerate(self.node.channels):
-            if channel.pulses > self._counts[number]:
-                current_ma, pulse_width_us, _ = levels[number]
-                self.pulses.append(DeliveredPulse(channel.last_pulse_ns, number, current_ma, pulse_width_us))
-            self._counts[number] = channel.pulses
+    def shutdown(self) -> None:
+        """Nothing to release; it may be opened again."""
 
 
 class InProcessStimulator(CanStimulator):
@@ -146,4 +153,4 @@ class InProcessStimulator(CanStimulator):
     def take_pulses(self) -> list[DeliveredPulse]:
         """The pulses since the last call, by time."""
         pulses, self.bus.pulses = self.bus.pulses, []
-        return sorted(pulses, key=lambda pulse: pulse.t_ns)
+        return [DeliveredPulse(*pulse) for pulse in sorted(pulses)]

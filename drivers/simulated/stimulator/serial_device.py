@@ -1,4 +1,4 @@
-"""What the simulated serial stimulators have in common: the device itself, and the process that runs one.
+"""What simulated stimulators have in common: the process that runs one, and the serial ones the device itself.
 
 The device is bytes and time in, messages and pulses out; no I/O, no clock. Its process prints one JSON line when it is
 ready, with the port that the host opens, and takes faults on stdin (:mod:`drivers.simulated.lines`). It ends on
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.simulated.lines import (
+    BusBroken,
     Device,
     DeviceEnd,
     DeviceLoop,
@@ -25,15 +26,28 @@ from drivers.simulated.lines import (
     publish_ready,
     stop_signals,
 )
-from drivers.simulated.record import PulseOutlet, RecordEntry, RecordWriter
+from drivers.simulated.record import Pulse, PulseOutlet, RecordEntry, RecordWriter, pulses_of
 from drivers.simulated.stimulator.firmware import NEVER, parse_fault_values
+from drivers.stimulator.bus import BusError
 from drivers.stimulator.sciencemode import FrameDecoder, Packet
 from fes.signals import NS_PER_S
 
 CHANNELS: Final = 8
 
 
-class SimulatedDevice(Device):
+class StimulatingDevice(Device):
+    """What :func:`run_stimulator` runs."""
+
+    @abstractmethod
+    def power_off(self, t_ns: int) -> None:
+        """Silence every channel."""
+
+    @abstractmethod
+    def take_record_and_pulses(self) -> tuple[list[RecordEntry], list[Pulse]]:
+        """What happened since the last call, and the pulses."""
+
+
+class SimulatedDevice(StimulatingDevice):
     """Call :meth:`receive` for bytes and :meth:`advance` at every deadline; both return the messages to send.
 
     Faults that are the device's own, set by :meth:`set_fault`: ``electrode`` (this channel's lead is open), ``slow``
@@ -55,10 +69,6 @@ class SimulatedDevice(Device):
         for packet in self._decoder.feed(data):
             out += self._act(t_ns, packet)
         return out
-
-    @abstractmethod
-    def power_off(self, t_ns: int) -> None:
-        """Silence every channel."""
 
     @abstractmethod
     def _act(self, t_ns: int, packet: Packet) -> list[bytes]:
@@ -91,6 +101,11 @@ class SimulatedDevice(Device):
         """What happened since the last call."""
         entries, self._record = self._record, []
         return entries
+
+    def take_record_and_pulses(self) -> tuple[list[RecordEntry], list[Pulse]]:
+        """See the base."""
+        entries = self.take_record()
+        return entries, pulses_of(entries)
 
     def _restart(self, t_ns: int) -> None:
         self._boots += 1
@@ -133,40 +148,56 @@ class Repeater:
         return times
 
 
-def run_device(name: str, make: Callable[[int], SimulatedDevice], arguments: Sequence[str] | None = None) -> int:
-    """Run a device until a signal ends it; everything is off then. Exit status 2 when the settings are wrong."""
+def stimulator_parser(name: str, faults: str) -> argparse.ArgumentParser:
+    """The options of every simulated stimulator; ``faults`` are those that it may be started with."""
     parser = argparse.ArgumentParser(prog=name, description=f"A simulated stimulator ({name}) in its own process.")
-    parser.add_argument("--line", choices=("pty", "tcp"), default="pty", help="what the host opens")
     parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
     parser.add_argument("--pulses", type=Path, help="send each pulse to the socket of this name")
-    parser.add_argument("--faults", default="", help="electrode=CH,slow=S,garble=N,drop=N,reorder=N,delay=S,mute=1 …")
+    parser.add_argument("--faults", default="", help=faults)
     parser.add_argument("--until-stdin-closes", action="store_true", help="listen to stdin, and end with it")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def run_stimulator(
+    parser: argparse.ArgumentParser,
+    options: argparse.Namespace,
+    opened: Callable[[], DeviceEnd],
+    make: Callable[[int], StimulatingDevice],
+    faults: Sequence[tuple[str, float]] = (),
+    **facts: int,
+) -> int:
+    """Run the device that is made, on the line that is opened, until a signal or the end of stdin; then all is off.
+
+    ``facts``: what it is to say of itself when it is ready. Exit status 2: the settings are wrong, 1: its bus broke.
+    """
     stop = stop_signals()
     try:
         record = RecordWriter(options.record)
-        end: DeviceEnd = PtyEnd() if options.line == "pty" else TcpEnd()
-    except OSError as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        end = opened()
+    except (BusError, OSError) as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
         return 2
     real_time = become_real_time()
     pulses = PulseOutlet(options.pulses)
     device = make(time.monotonic_ns())
 
     def keep() -> None:
-        entries = device.take_record()
-        pulses.send_record(entries)
+        entries, delivered = device.take_record_and_pulses()
+        pulses.send(delivered)
         record.write(entries)
 
     loop = DeviceLoop(device, end, stop.fileno(), stdin=options.until_stdin_closes, afterwards=keep)
     try:
-        for fault, value in parse_fault_values(options.faults):
+        for fault, value in faults:
             loop.inject(fault, value)
     except ValueError as error:
         parser.error(f"--faults: {error}")
-    publish_ready(port=end.port, real_time=real_time)
+    publish_ready(port=end.port, real_time=real_time, **facts)
     try:
         loop.run()
+    except BusBroken as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
     finally:
         device.power_off(time.monotonic_ns())
         keep()
@@ -174,3 +205,15 @@ def run_device(name: str, make: Callable[[int], SimulatedDevice], arguments: Seq
         pulses.close()
         end.unplug()
     return 0
+
+
+def run_device(name: str, make: Callable[[int], SimulatedDevice], arguments: Sequence[str] | None = None) -> int:
+    """Run a device on a line of bytes; exit status as of :func:`run_stimulator`."""
+    parser = stimulator_parser(name, "electrode=CH,slow=S,garble=N,drop=N,reorder=N,delay=S,mute=1 …")
+    parser.add_argument("--line", choices=("pty", "tcp"), default="pty", help="what the host opens")
+    options = parser.parse_args(arguments)
+    try:
+        faults = parse_fault_values(options.faults)
+    except ValueError as error:
+        parser.error(f"--faults: {error}")
+    return run_stimulator(parser, options, PtyEnd if options.line == "pty" else TcpEnd, make, faults)

@@ -1,4 +1,4 @@
-"""Movella DOT by radio: the codec, and the port on a simulated sensor, in process and on a stand-in for bleak."""
+"""Sensors by radio: the ports in process and on a stand-in for bleak, whose notifications a simulated radio sends."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import asyncio
 import itertools
 import math
 import struct
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
-import bleak_stand_in
 import numpy as np
 import pytest
 
+from drivers.imu import capture2go_codec as c2g
+from drivers.imu import capture2go_port as ble
 from drivers.imu import movella_dot as dot
 from drivers.imu.movella_dot import MovellaDotImu
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost, ImuPort
 from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu
-from drivers.simulated.imu.serial_wires import INFO, MovellaDotWire
+from drivers.simulated.imu.serial_wires import INFO, Capture2GoWire, MovellaDotWire
 from drivers.simulated.stimulator.in_process import DeviceLine
 from fes.config import ImuDevice
 from fes.control.clock_sync import SensorClock
@@ -46,9 +49,8 @@ def test_values_are_those_of_the_specification() -> None:
     assert dot.set_rate_hz(bytes(24) + b"\x1e\0" + bytes(6)) == 30
     assert dot.identity(INFO) == ("A0B0C0D", "2.6.1")
     payload = "40420f00 00000000 000080bf c3f51c41 00003443 000000c2 00000000" + "00" * 12  # laid out by hand
-    expected = dot.Sample(
-        1_000_000, (0.0, -1.0, struct.unpack("<f", b"\xc3\xf5\x1c\x41")[0]), (math.pi, -math.radians(32), 0.0)
-    )
+    force = (0.0, -1.0, struct.unpack("<f", b"\xc3\xf5\x1c\x41")[0])
+    expected = 1_000_000, force, (math.pi, -math.radians(32), 0.0)
     for length in (28, 40):
         assert dot.sample(bytes.fromhex(payload)[:length]) == expected
     for value in (bytes(27), b""):
@@ -196,7 +198,54 @@ def test_a_rate_that_it_has_not_is_refused() -> None:
 # --- by bleak -----------------------------------------------------------------------------------------------
 
 
-class Client(bleak_stand_in.Client):
+class BleakClient:
+    """What ports ask of bleak's client; how values are written and read is the kind's own."""
+
+    radio: ClassVar[Radio]
+    notifies: ClassVar[str]
+    alive: ClassVar[bool] = True
+    hangs: ClassVar[bool] = False
+
+    def __init__(self, device: Any, disconnected_callback: Any, timeout: float) -> None:
+        self._gone = disconnected_callback
+
+    async def connect(self) -> None:
+        if self.hangs:
+            await asyncio.sleep(3600)
+
+    async def start_notify(self, characteristic: str, callback: Any) -> None:
+        assert characteristic == self.notifies
+        self._task = asyncio.create_task(self._run(callback))
+
+    async def _run(self, callback: Any) -> None:
+        while self.alive:
+            for message in self.radio.advance(time.monotonic_ns()):
+                self.heard(message, callback)
+            await asyncio.sleep(0.003)
+        self._gone(self)
+
+    def heard(self, message: bytes, callback: Any) -> None:
+        callback(None, bytearray(message))
+
+    async def disconnect(self) -> None:
+        self._task.cancel()
+
+
+def install(
+    monkeypatch: pytest.MonkeyPatch, client: type[BleakClient], name: str, address: str, services: list[str] | None
+) -> None:
+    """In bleak's place; one device is near, which is found by these services."""
+
+    class Scanner:
+        @staticmethod
+        async def find_device_by_filter(is_it: Any, timeout: float, service_uuids: list[str] | None) -> Any:
+            found = SimpleNamespace(name=name, address=address)
+            return found if service_uuids == services and is_it(found, None) else None
+
+    monkeypatch.setitem(sys.modules, "bleak", SimpleNamespace(BleakClient=client, BleakScanner=Scanner))
+
+
+class DotClient(BleakClient):
     notifies = dot.uuid(dot.MEDIUM_PAYLOAD)
 
     def heard(self, message: bytes, callback: Any) -> None:
@@ -223,10 +272,10 @@ class Client(bleak_stand_in.Client):
 def radio(monkeypatch: pytest.MonkeyPatch) -> Iterator[Radio]:
     now_ns = time.monotonic_ns()
     imu = SimulatedImu(MovellaDotWire(60.0), COUNTED, now_ns)
-    Client.radio, Client.alive = Radio(imu, now_ns, 0.0075, whole=True), True
-    bleak_stand_in.install(monkeypatch, Client, "Movella DOT", "D4:22:CD:00:8A:5A", None)
-    yield Client.radio
-    Client.alive = False
+    DotClient.radio, DotClient.alive = Radio(imu, now_ns, 0.0075, whole=True), True
+    install(monkeypatch, DotClient, "Movella DOT", "D4:22:CD:00:8A:5A", None)
+    yield DotClient.radio
+    DotClient.alive = False
 
 
 def listen(port: ImuPort, seconds: float) -> list[RawSample]:
@@ -244,12 +293,139 @@ def test_by_bleak_it_is_set_up_heard_lost_and_opened_again(radio: Radio) -> None
         found = listen(port, 0.5)
         assert len(found) >= 15
         assert [(sensor, said_ns) for sensor, _, said_ns in port.clock_answers()] == [(FOOT, found[0].t_device_ns)]
-        Client.alive = False
+        DotClient.alive = False
         with pytest.raises(ImuLost, match="the connection is gone"):
             listen(port, 2.0)
-        Client.alive = True
+        DotClient.alive = True
         port.reopen()
     port.close()
     port.close()
     with pytest.raises(ImuLost, match="is not found"):
         open_imus([device("D4:22:CD:00:00:00", find_s=0.2)])
+
+
+# --- Capture2Go by radio ------------------------------------------------------------------------------------
+
+
+C2G_COUNTED = ImuSignal(100.0, np.tile([0.0, 0.0, 9.81], (1000, 1)), np.linspace([0.0] * 3, [10.0, 0.0, 0.0], 1000))
+
+
+class C2gClient(BleakClient):
+    notifies = ble.FROM_SENSOR
+
+    async def write_gatt_char(self, characteristic: str, data: bytes, response: bool) -> None:
+        assert characteristic == ble.TO_SENSOR
+        assert response or data == c2g.pack(c2g.Header.CMD_GET_STATUS)  # of its time nobody waits for the answer
+        C2gClient.radio.receive(time.monotonic_ns(), data)
+
+
+@pytest.fixture
+def c2g_radio(monkeypatch: pytest.MonkeyPatch) -> Iterator[Radio]:
+    now_ns = time.monotonic_ns()
+    imu = SimulatedImu(Capture2GoWire(100.0, None, "1234ab"), C2G_COUNTED, now_ns)
+    C2gClient.radio, C2gClient.alive, C2gClient.hangs = Radio(imu, now_ns), True, False
+    install(monkeypatch, C2gClient, "IMU_1234ab", "00:11:22:33:44:55", [ble.SERVICE])
+    yield C2gClient.radio
+    C2gClient.alive = False
+
+
+def capture2go(port: str = "IMU_1234ab", **options: object) -> ImuDevice:
+    values = {"sensor": "left_foot", "device": "capture2go_ble", "port": port, "rate_hz": 100.0, "options": options}
+    return ImuDevice.model_validate(values | {"acc_range_g": 16.0, "gyr_range_dps": 2000.0})
+
+
+def test_eight_at_a_time_none_is_lost_and_their_age_is_the_radios(c2g_radio: Radio) -> None:
+    (port,) = open_imus([capture2go(packed=True)])
+    assert port.serials == {"left_foot": "1234ab"}
+    found = listen(port, 1.5)
+    assert len(found) >= 100
+    assert len(found) % 8 == 0
+    assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {10 * MS}
+    youngest_ms, oldest_ms = (
+        pick(sample.t_host_ns - sample.t_device_ns for sample in found) / MS for pick in (min, max)
+    )
+    assert youngest_ms >= 0
+    assert oldest_ms >= 70  # seven samples older than the newest of its package
+    counts = port.counts["left_foot"]
+    assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, 0)
+    port.close()
+    port.close()
+
+
+def test_bad_reception_makes_samples_late_and_not_missing(c2g_radio: Radio) -> None:
+    c2g_radio.fails, c2g_radio.interval_s = 0.1, 0.0075
+    (port,) = open_imus([capture2go()])
+    listen(port, 0.3)
+    c2g_radio.away_until_ns = time.monotonic_ns() + NS_PER_S // 2
+    found = listen(port, 1.2)
+    assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {10 * MS}
+    assert max(sample.t_host_ns - sample.t_device_ns for sample in found) > 400 * MS
+    assert port.counts["left_foot"].missing == 0
+    port.close()
+
+
+def test_notifications_that_the_system_loses_cost_their_packages_and_are_counted(c2g_radio: Radio) -> None:
+    (port,) = open_imus([capture2go(packed=True)])
+    listen(port, 0.3)
+    c2g_radio.lose = 2
+    found = listen(port, 1.5)
+    counts = port.counts["left_foot"]
+    assert counts.missing >= 8
+    assert counts.missing % 8 == 0
+    assert len(found) >= 50
+    port.close()
+
+
+def test_a_connection_that_goes_is_lost_and_can_be_opened_again(c2g_radio: Radio) -> None:
+    (port,) = open_imus([capture2go("00:11:22:33:44:55")])
+    listen(port, 0.2)
+    c2g_radio.imu.set_fault(time.monotonic_ns(), "reboot", 1)  # out of power
+    C2gClient.alive = False
+    with pytest.raises(ImuLost, match=r"the connection is gone\. Is it switched on"):
+        listen(port, 2.0)
+    C2gClient.alive = True
+    port.reopen()
+    assert len(listen(port, 1.0)) >= 40
+    port.close()
+
+
+@pytest.mark.usefixtures("c2g_radio")
+def test_who_is_not_there_or_never_answers_is_named_in_time() -> None:
+    with pytest.raises(ImuLost, match="left_foot on IMU_other: is not found"):
+        open_imus([capture2go("IMU_other", find_s=0.2)])
+    C2gClient.hangs = True
+    began_s = time.monotonic()
+    with pytest.raises(ImuLost, match="TimeoutError"):
+        open_imus([capture2go(find_s=0.2)])
+    assert time.monotonic() - began_s < 5.0
+
+
+def test_without_bleak_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "bleak", None)
+    with pytest.raises(ImuLost, match=r"pip install 'fes-gait\[ble\]'"):
+        open_imus([capture2go()])
+
+
+def test_one_at_a_time_and_asked_for_its_time_it_answers_within_what_the_radio_takes(c2g_radio: Radio) -> None:
+    (port,) = open_imus([capture2go()])
+    found = listen(port, 1.5)
+    assert len(found) >= 120
+    told = port.clock_answers()
+    assert len(told) >= 8
+    assert port.clock_answers() == []
+    # the clock was set when it was opened, some time before the command reached it: it shows less than the host's
+    for sensor, asked_ns, said_ns in told:
+        assert sensor == "left_foot"
+        assert -100 * MS < asked_ns - said_ns < 100 * MS
+    port.close()
+
+
+def test_an_answer_that_is_lost_makes_no_later_one_count_for_more(c2g_radio: Radio) -> None:
+    (port,) = open_imus([capture2go()])
+    listen(port, 0.3)
+    port.clock_answers()
+    c2g_radio.away_until_ns = time.monotonic_ns() + NS_PER_S
+    listen(port, 1.5)
+    oldest_ns = min(asked_ns for _, asked_ns, _ in port.clock_answers())
+    assert oldest_ns < c2g_radio.away_until_ns - NS_PER_S // 2  # by when it was asked, not by when it was asked again
+    port.close()
