@@ -13,14 +13,28 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
-from fes.analysis.bouts import Bout, Stride, bout_tables, bouts_of, kept_of, spans_ns, walking_only
+from fes.analysis.bouts import Bout, Stride, bout_tables, bouts_of, walking_only
 from fes.analysis.methods import Methods
-from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
+from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of_chunks
 from fes.analysis.results import Analysis
-from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
-from fes.cli.common import FAILED, PATH, SIDE, Number, choice, error_text, fail, fresh_folder, out_option, utc_now
+from fes.calibration.recording import labelled
+from fes.cli.common import (
+    FAILED,
+    PATH,
+    SIDE,
+    Number,
+    TableFile,
+    choice,
+    error_text,
+    fail,
+    fresh_folder,
+    out_option,
+    print_json,
+    screen,
+    utc_now,
+    write_table,
+)
 from fes.cli.compile_ import compiled_ahead
-from fes.cli.show import TableFile, print_json, screen, write_table
 from fes.config import Ground
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.zupt.detectors import Detector
@@ -29,11 +43,12 @@ from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, keep_freed_memory, 
 from fes.walk_record import Finding, finite_or_none
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from fes.analysis.hemiparetic.walk import HemipareticWalk
     from fes.analysis.parameters.gait import ChunkedGait, GaitParameters
     from fes.analysis.tables import Table
+    from fes.cli.common import Rows
     from fes.estimation.sensor_choice import Calibration
     from fes.recording import Recording
 
@@ -138,53 +153,100 @@ def command(
     asked = Options(hemiparetic=hemiparetic, report=not no_report, **chosen)
     failures, warned = 0, False
     keep_freed_memory()
-    detector, per_sample = Detector[asked.detector.upper()], asked.path_filter == "per-sample"
-    methods = Methods(detector, asked.stride_method, per_sample, asked.causal_events)
     for path in recordings:
         try:
-            with compiled_ahead():
-                # --sync-clocks and --hemiparetic look at the walk as a whole
-                together = asked.sync_clocks or hemiparetic
-                first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
-                recording = first.recording
-                ground = asked.ground(recording)
-                if not first.whole:
-                    found = calibrations_of_chunks(recording_chunks(path), calibration, incline=ground.incline)
-                elif calibration:
-                    recording, found = stored_calibrations(calibration, recording)
-                else:
-                    recording, found = calibrations_of(recording, incline=ground.incline)
-            if asked.sync_clocks:
-                recording = _one_clock(recording, found.calibrations)
+            warned |= _follow(*_begun(path, calibration, asked), fresh_folder(asked.out, path.stem), asked)
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
                 fail(error)
             click.secho(f"Error: {error_text(error)}", fg="red", err=True)
             failures += 1
-            continue
-        for reason in found.missing.values():
-            click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
-        if sys.stderr.isatty():
-            click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
-        if not first.whole:
-            del first, recording  # a chunk that need not stay
-            if asked.correct:
-                click.secho("A long recording is not corrected: cut it to half an hour first.", fg="yellow", err=True)
-            warned |= analyse_long(path, found, asked, methods, ground)
-            continue
-        result = analyse(recording, found.calibrations, ground=ground, methods=methods, correct=asked.correct)
-        folder, bouts = fresh_folder(asked.out, path.stem), list[Bout]()
-        if asked.bouts:
-            bouts = bouts_of(kept_of(result.strides))
-            result = replace(result, walking_ns=spans_ns(bouts))
-            _write_bouts(bouts, folder, asked)
-        for name in asked.tables():
-            write_table(TABLES[name](result), folder / f"{name}.{asked.kind}")
-        warned |= _show(result, _gait(result, folder, asked), folder, asked, bouts)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
     if failures or (asked.strict and warned):
         raise SystemExit(FAILED)
+
+
+def _begun(path: Path, calibration: Path | None, asked: Options) -> tuple[Iterator[Analysis], bool]:
+    """The analyses of a recording's chunks, each made when it is asked for, and whether there is one chunk only.
+
+    RecordingError, CalibrationError: it cannot be used.
+    """
+    detector, per_sample = Detector[asked.detector.upper()], asked.path_filter == "per-sample"
+    methods = Methods(detector, asked.stride_method, per_sample, asked.causal_events)
+    with compiled_ahead():
+        # --sync-clocks and --hemiparetic look at the walk as a whole
+        together = asked.sync_clocks or asked.hemiparetic
+        first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
+        ground = asked.ground(first.recording)
+        chunks = [first] if first.whole else recording_chunks(path)
+        found = calibrations_of_chunks(chunks, calibration, incline=ground.incline)
+    recording = labelled(first.recording, found.sides)
+    if asked.sync_clocks:
+        recording = _one_clock(recording, found.calibrations)
+    for reason in found.missing.values():
+        click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+    if sys.stderr.isatty():
+        click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
+    how: dict[str, Any] = {"ground": ground, "methods": methods}
+    if first.whole:
+        return (analyse(one, found.calibrations, correct=asked.correct, **how) for one in (recording,)), True
+    if asked.correct:
+        click.secho("A long recording is not corrected: cut it to half an hour first.", fg="yellow", err=True)
+    named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in recording_chunks(path))
+    return analyse_chunks(named, found.calibrations, **how), False
+
+
+def _follow(analyses: Iterator[Analysis], whole: bool, folder: Path, asked: Options) -> bool:
+    """Write the tables as the analyses come, and show what was found; what is kept does not grow with the recording.
+
+    Whether a finding is a warning or an alert.
+    """
+    from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
+
+    kept, chunks, warned = list[Stride](), list[_ChunkSummary](), False
+    tables: dict[str, Rows] = {}
+    gait: ChunkedGait | None = None
+    with ExitStack() as stack:
+        names = [*asked.tables(), "parameters"]
+        files = {name: stack.enter_context(TableFile(folder / f"{name}.{asked.kind}")) for name in names}
+        for result in walking_only(analyses, kept) if asked.bouts else analyses:
+            walk = _hemiparetic(result, asked)
+            parameters = gait_parameters(result) if walk is None else walk.parameters
+            gait = gait or ChunkedGait(result.recording.belt_speed_mps)
+            gait.add(parameters, result.strides)
+            for name in asked.tables():
+                files[name].add(TABLES[name](result))
+            files["parameters"].add(parameters.table if walk is None else walk.rows())
+            if walk is not None:
+                tables = {"windows": walk.window_rows(), "visualization": walk.track_rows()}
+            every = parameters if whole else gait.parameters()
+            if whole:
+                warned = _show(result, parameters, walk, folder, asked, bouts_of(kept))
+                continue
+            chunks.append(_summarised(result))
+            if not asked.bouts and (asked.report or asked.as_json):
+                _report_chunk(result, parameters, folder, len(chunks), asked)
+            del result, parameters  # or it would stay while the next chunk is worked on
+    assert gait is not None
+    bouts = bout_tables(bouts_of(kept)) if asked.bouts else {}
+    tables |= {"parameters_summary": every.summary_rows(), **bouts}
+    tables["mean_stride"] = [row for one in gait.mean_strides() for row in one.rows()]
+    for name, rows in tables.items():
+        write_table(rows, folder / f"{name}.{asked.kind}")
+    return warned if whole else _show_chunks(chunks, every, folder, asked, bouts_of(kept))
+
+
+def _hemiparetic(result: Analysis, asked: Options) -> HemipareticWalk | None:
+    if not asked.hemiparetic:
+        return None
+    from fes.analysis.hemiparetic.walk import hemiparetic_walk
+
+    try:
+        return hemiparetic_walk(result, paretic=asked.paretic_side)
+    except ValueError as error:
+        click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
+        return None
 
 
 def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) -> Recording:
@@ -206,36 +268,6 @@ def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) ->
         err=True,
     )
     return together
-
-
-def _gait(result: Analysis, folder: Path, asked: Options) -> tuple[GaitParameters, HemipareticWalk | None]:
-    """Work out the gait parameters, as a hemiparetic walk's if asked, and write their tables."""
-    from fes.analysis.parameters.gait import gait_parameters, mean_strides
-
-    walk = None
-    if asked.hemiparetic:
-        from fes.analysis.hemiparetic.walk import hemiparetic_walk
-
-        try:
-            walk = hemiparetic_walk(result, paretic=asked.paretic_side)
-        except ValueError as error:
-            click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
-    parameters = gait_parameters(result) if walk is None else walk.parameters
-    tables = {
-        "parameters": parameters.table if walk is None else walk.rows(),
-        "parameters_summary": parameters.summary_rows(),
-        "mean_stride": [row for one in mean_strides(result.strides, parameters.strides) for row in one.rows()],
-    }
-    if walk is not None:
-        tables |= {"windows": walk.window_rows(), "visualization": walk.track_rows()}
-    for name, rows in tables.items():
-        write_table(rows, folder / f"{name}.{asked.kind}")
-    return parameters, walk
-
-
-def _write_bouts(bouts: list[Bout], folder: Path, asked: Options) -> None:
-    for name, rows in bout_tables(bouts).items():
-        write_table(rows, folder / f"{name}.{asked.kind}")
 
 
 def _bouts_shown(bouts: list[Bout]) -> Any:
@@ -261,7 +293,8 @@ def _bouts_shown(bouts: list[Bout]) -> Any:
 
 def _show(
     result: Analysis,
-    gait: tuple[GaitParameters, HemipareticWalk | None],
+    parameters: GaitParameters,
+    walk: HemipareticWalk | None,
     folder: Path,
     asked: Options,
     bouts: list[Bout],
@@ -271,7 +304,6 @@ def _show(
     from fes.report.summary import summarise_session
     from fes.report.tables import stride_table, summary_block
 
-    parameters, walk = gait
     record = result.walk_record(utc_now())
     data, page = summarise_session(record), folder / "report.html"
     summary = data.summary
@@ -365,58 +397,6 @@ class _ChunkSummary:
     findings: tuple[Finding, ...]
 
 
-def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods: Methods, ground: Ground) -> bool:
-    """Analyse chunk by chunk and write the tables as they come; what is kept does not grow with the recording.
-
-    Returns whether a sensor's finding is a warning or an alert.
-    """
-    from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
-
-    folder, kind = fresh_folder(asked.out, path.stem), asked.kind
-    named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in recording_chunks(path))
-    chunks: list[_ChunkSummary] = []
-    gait: ChunkedGait | None = None
-    with ExitStack() as stack:
-        names = [*asked.tables(), "parameters"]
-        files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in names}
-        kept: list[Stride] = []
-        analyses = analyse_chunks(named, found.calibrations, ground=ground, methods=methods)
-        for result in walking_only(analyses, kept) if asked.bouts else analyses:
-            parameters = gait_parameters(result)
-            gait = gait or ChunkedGait(result.recording.belt_speed_mps)
-            gait.add(parameters, result.strides)
-            for name in asked.tables():
-                files[name].add(TABLES[name](result))
-            files["parameters"].add(parameters.table)
-            chunks.append(_summarised(result))
-            if not asked.bouts and (asked.report or asked.as_json):
-                _report_chunk(result, parameters, folder, len(chunks), asked)
-            del result, parameters  # or it would stay while the next chunk is worked on
-    assert gait is not None
-    every = gait.parameters()
-    write_table(every.summary_rows(), folder / f"parameters_summary.{kind}")
-    write_table([row for one in gait.mean_strides() for row in one.rows()], folder / f"mean_stride.{kind}")
-    bouts = bouts_of(kept)
-    if asked.bouts:
-        _write_bouts(bouts, folder, asked)
-    warned = any(finding.level in ("warning", "alert") for each in chunks for finding in each.findings)
-    if asked.bouts and asked.as_json:
-        tables = finite_or_none(bout_tables(bouts))
-        print_json({"parameters": every.to_json(), **tables, "files": {"folder": str(folder)}})
-        return warned
-    if asked.as_json:
-        last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
-        click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
-        return warned
-    if asked.bouts:
-        screen().print(_bouts_shown(bouts))
-    _show_chunks(chunks, every)
-    click.echo(f"Tables  {folder}/")
-    if asked.report and not asked.bouts:
-        click.echo(f"Reports {folder / 'report-01.html'} and on, one a chunk  (open them in a browser)")
-    return warned
-
-
 def _summarised(result: Analysis) -> _ChunkSummary:
     from fes.report.findings import merged
 
@@ -449,11 +429,22 @@ def _report_chunk(result: Analysis, parameters: GaitParameters, folder: Path, nu
         click.echo(json.dumps(one, indent=2, ensure_ascii=False), nl=False)
 
 
-def _show_chunks(chunks: list[_ChunkSummary], every: GaitParameters) -> None:
+def _show_chunks(
+    chunks: list[_ChunkSummary], every: GaitParameters, folder: Path, asked: Options, bouts: list[Bout]
+) -> bool:
+    """Print what all chunks come to; whether a sensor's finding is a warning or an alert."""
     from rich.table import Table
 
     from fes.report.tables import MARKS
 
+    warned = any(finding.level in ("warning", "alert") for each in chunks for finding in each.findings)
+    last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
+    if asked.bouts and asked.as_json:
+        print_json({**last, **finite_or_none(bout_tables(bouts))})
+        return warned
+    if asked.as_json:
+        click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
+        return warned
     feet = list(dict.fromkeys(foot for each in chunks for foot in each.strides))
     columns = [text for foot in feet for text in (f"{foot}, strides", "measured", "distance, m")]
     table = Table("chunk", "from s", "to s", *columns, title="Chunks")
@@ -467,4 +458,9 @@ def _show_chunks(chunks: list[_ChunkSummary], every: GaitParameters) -> None:
         for k, each in enumerate(chunks, start=1)
         for finding in each.findings
     ]
-    _print_parameters([table], every, None, [*chunks[-1].points, *no_path, *told])
+    tables = [*([_bouts_shown(bouts)] if asked.bouts else []), table]
+    _print_parameters(tables, every, None, [*chunks[-1].points, *no_path, *told])
+    click.echo(f"Tables  {folder}/")
+    if asked.report and not asked.bouts:
+        click.echo(f"Reports {folder / 'report-01.html'} and on, one a chunk  (open them in a browser)")
+    return warned

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,10 +22,12 @@ from fes.cli.common import (
     failing,
     interrupted,
     need_extra,
+    print_json,
     processors,
+    progress_bar,
+    screen,
     writing,
 )
-from fes.cli.show import print_json, screen
 from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
     from fes.cohort.sweep.table import Combination
     from fes.cohort.sweep.task import Case
     from fes.cohort.task import Outcome, Task
-
-PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 
 
 @click.command(name="cohort")
@@ -95,7 +94,7 @@ def cohort_command(
         todo = unfinished(store, by_identity, retry_failed)
         if todo:
             number = min(workers or processors(), len(todo))
-            with cluster(number, scheduler, time_limit) as client, progress_bar(len(todo), "analysing") as advance:
+            with cluster(number, scheduler, time_limit) as client, outcomes_bar(len(todo), "analysing") as advance:
                 run.begun = True
                 run_tasks(client, todo, advance, time_limit)
         if replaced := drop_replaced(store, sources, settings):
@@ -174,20 +173,15 @@ def unfinished(store: Store, tasks: Mapping[str, Task], retry_failed: bool) -> l
 
 
 @contextmanager
-def progress_bar(total: int, doing: str) -> Iterator[Callable[[Outcome], None]]:
+def outcomes_bar(total: int, doing: str) -> Iterator[Callable[[Outcome], None]]:
     """How far it has come, on stderr; what it gives is called with each outcome."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console, hidden, failed = Console(stderr=True), not sys.stderr.isatty(), 0
-    with Progress(*columns, console=console, disable=hidden, transient=True, refresh_per_second=PER_SECOND) as bar:
-        task = bar.add_task(doing, total=total)
+    failed = 0
+    with progress_bar(doing, total) as update:
 
         def advance(outcome: Outcome) -> None:
             nonlocal failed
             failed += outcome.status != "done"
-            bar.update(task, advance=1, description=f"{doing}, {failed} failed" if failed else doing)
+            update(advance=1, description=f"{doing}, {failed} failed" if failed else doing)
 
         yield advance
 
@@ -292,7 +286,7 @@ def sweep_command(
         todo = unfinished(store, tasks, retry_failed)
         if todo:
             number = min(workers or processors(), len(todo))
-            with cluster(number, scheduler, time_limit) as client, progress_bar(len(todo), "trying") as advance:
+            with cluster(number, scheduler, time_limit) as client, outcomes_bar(len(todo), "trying") as advance:
                 run.begun = True
                 run_tasks(client, todo, advance, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()

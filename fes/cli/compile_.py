@@ -1,7 +1,7 @@
 """``fes compile``: all compiled code made ahead; and the first analysis, which makes its own beside its work.
 
-Compiling takes far longer than analysing, and one process compiles on one processor only. So parts of it are compiled
-in processes of their own, which keep what they have made (:mod:`fes.estimation.numerics.jit`) for all.
+One process compiles on one processor only, so parts are compiled in processes of their own, which keep what they have
+made (:mod:`fes.estimation.numerics.jit`) for all.
 """
 
 import subprocess

@@ -21,9 +21,9 @@ from fes.cli.common import (
     interrupted,
     need_extra,
     out_option,
+    print_json,
 )
 from fes.cli.replay.command import prepared
-from fes.cli.show import print_json
 from fes.config import WIRELESS, ConfigError
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign

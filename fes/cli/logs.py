@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.cli.common import FAILED, PATH, Number, Problem, fail, failing, writing
-from fes.cli.show import print_json, screen
+from fes.cli.common import FAILED, PATH, Number, Problem, fail, failing, print_json, screen, writing
 from fes.config import ConfigError
 from fes.session_log import SessionLogError, read_session
 from fes.session_log.framing import RecordType

@@ -28,9 +28,9 @@ COMMANDS: Final = {
         "When transitions and stimulation happen: against a truth, and against a baseline kept in version control.",
     ),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
-    "evaluate": ("fes.cli.evaluate", "Hold a recording against a reference: bias, limits of agreement, ICC, figures."),
-    "import": ("fes.cli.import_", "Public data sets, as downloaded, into recordings and references."),
-    "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),
+    "evaluate": ("fes.cli.compare", "Hold a recording against a reference: bias, limits of agreement, ICC, figures."),
+    "import": ("fes.cli.recordings", "Public data sets, as downloaded, into recordings and references."),
+    "calibrate": ("fes.cli.recordings", "How the sensors sit and how this person moves, from a short recording."),
     "hil": ("fes.cli.hil", "A fault campaign: faults into a running session, judged at the stimulator's end."),
     "explain": (
         "fes.cli.logs",
@@ -55,7 +55,7 @@ COMMANDS: Final = {
     ),
     "compile": ("fes.cli.compile_", "Compile for this processor, ahead of the first command; installing does it."),
     "trials": (
-        "fes.cli.import_",
+        "fes.cli.recordings",
         "Generate the bundled recordings, with their truth, from their seeds.",
     ),
 }

@@ -33,10 +33,10 @@ from fes.cli.common import (
     given_options,
     out_option,
     replay_progress,
+    show_latched,
 )
 from fes.cli.demo import stride_line
 from fes.cli.main import WANTS_LINUX
-from fes.cli.show import show_latched
 from fes.config import ConfigError, load_session
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench

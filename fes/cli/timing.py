@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 import numpy as np
@@ -22,11 +22,13 @@ from fes.cli.common import (
     choice,
     failing,
     fresh_folder,
+    options,
     out_option,
+    print_json,
+    screen,
     writing,
 )
 from fes.cli.replay.command import prepared, repeat
-from fes.cli.show import narrow_table, print_json, screen
 from fes.config import ConfigError, Session
 from fes.control.replay import digest, session_for, settings_of
 from fes.estimation.foot.calibration import CalibrationError
@@ -69,8 +71,6 @@ from fes.session_log import SessionLogError, read_session
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-    from fes.session_log import SessionRecord
 
 # --- The recordings of one timing command: found, replayed, and the truth of each ---------------------------
 
@@ -195,12 +195,8 @@ def _of_log(name: str, path: Path, options: Options) -> Case:
         measured = as_recorded(name, record)
     else:
         measured = as_recorded(name, record, repeat(path).now)
-        truth = truth or _own(record, path)
+        truth = truth or expected_of_log(record, f"what {path.name} recorded")
     return Case(name, path, digest(path), _digest_of(session), session, measured, truth)
-
-
-def _own(record: SessionRecord, path: Path) -> ExpectedMarks:
-    return expected_of_log(record, f"what {path.name} recorded")
 
 
 def _digest_of(session: Session) -> str:
@@ -248,42 +244,34 @@ def judged(case: Case, baseline: Baseline | None, limits: Limits) -> tuple[Recor
     return judge(case.measured, case.truth, baseline, case.sha256, limits, case.settings), case
 
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 DEFAULT: Final = Path("timing.toml")
+FAULTS: Final = (ConfigError, CalibrationError, ReferenceError, TimingError, RecordingError, SessionLogError)
 WHOLE_TABLES: Final = 3  # of more recordings only those that failed are shown row by row
 
 
-def how_to_measure(function: Command) -> Command:
-    """The options that say what is replayed, and against what."""
-    given = (
-        click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording."),
-        click.option("--truth", type=PATH, help="File, or folder of them. Default: what lies beside the recording."),
-        click.option("--plate", "plates", multiple=True, metavar="N=SIDE", help="C3D: force plate 1 is left …"),
-        click.option("--lag", "lag_s", type=Number(), help="Seconds to add to the truth's times."),
-        choice("--sync", of=("check", "fit"), help="Of the truth's clock."),
-        click.option(
-            "--as-recorded", "recorded", is_flag=True, help="Session logs: what they did, not today's replay."
-        ),
-        click.option("--json", "as_json", is_flag=True, help="Print the results as JSON."),
-    )
-    for option in reversed(given):
-        function = option(function)
-    return function
-
-
-def how_to_judge(function: Command) -> Command:
-    """The options of tolerances and of what is written."""
-    given = (
-        click.option("--tolerance-ms", multiple=True, metavar="[NAME=]MS", help="As 5, T3=10 or latency_p99=0.5."),
-        click.option("--allow", multiple=True, metavar="NAME=N", help="So many may be missed, extra or moved."),
-        click.option("--latency-budget-ms", type=Number(min=0, min_open=True), help="For 99 % of the decisions."),
-        click.option("--junit", type=PATH, metavar="FILE", help="Write JUnit XML, for CI."),
-        out_option("The page goes below."),
-        click.option("--no-report", is_flag=True, help="Write no page."),
-    )
-    for option in reversed(given):
-        function = option(function)
-    return function
+RECORDINGS: Final = click.argument("recordings", nargs=-1, required=True, metavar="RECORDING…", type=PATH)
+_BESIDE = "Settings (TOML). Default: session.toml beside each recording."
+SESSION: Final = click.option("--session", type=PATH, help=_BESIDE)
+TOLERANCE: Final = click.option(
+    "--tolerance-ms", multiple=True, metavar="[NAME=]MS", help="As 5, T3=10 or latency_p99=0.5."
+)
+HOW_TO_MEASURE: Final = options(  # what is replayed, and against what
+    click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording."),
+    click.option("--truth", type=PATH, help="File, or folder of them. Default: what lies beside the recording."),
+    click.option("--plate", "plates", multiple=True, metavar="N=SIDE", help="C3D: force plate 1 is left …"),
+    click.option("--lag", "lag_s", type=Number(), help="Seconds to add to the truth's times."),
+    choice("--sync", of=("check", "fit"), help="Of the truth's clock."),
+    click.option("--as-recorded", "recorded", is_flag=True, help="Session logs: what they did, not today's replay."),
+    click.option("--json", "as_json", is_flag=True, help="Print the results as JSON."),
+)
+HOW_TO_JUDGE: Final = options(  # tolerances, and what is written
+    TOLERANCE,
+    click.option("--allow", multiple=True, metavar="NAME=N", help="So many may be missed, extra or moved."),
+    click.option("--latency-budget-ms", type=Number(min=0, min_open=True), help="For 99 % of the decisions."),
+    click.option("--junit", type=PATH, metavar="FILE", help="Write JUnit XML, for CI."),
+    out_option("The page goes below."),
+    click.option("--no-report", is_flag=True, help="Write no page."),
+)
 
 
 @click.group(name="timing")
@@ -296,11 +284,11 @@ def command() -> None:
 
 
 @command.command(name="baseline")
-@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING…", type=PATH)
+@RECORDINGS
 @click.option("--baseline", "file", type=PATH, default=DEFAULT, show_default=True, help="Written, or added to.")
-@click.option("--session", type=PATH, help="Settings (TOML). Default: session.toml beside each recording.")
-@click.option("--tolerance-ms", multiple=True, metavar="[NAME=]MS", help="As 5, T3=10 or latency_p99=0.5.")
-@how_to_measure
+@SESSION
+@TOLERANCE
+@HOW_TO_MEASURE
 def baseline_command(
     recordings: tuple[Path, ...], file: Path, tolerance_ms: tuple[str, ...], as_json: bool, **chosen: Any
 ) -> None:
@@ -312,7 +300,7 @@ def baseline_command(
 
     options = _options(chosen)
     given = _tolerances(tolerance_ms)
-    with failing(*_faults()):
+    with failing(*FAULTS):
         old = read_baseline(file) if file.is_file() else None
     new, outcomes = {}, list[Any]()
     for case, outcome in _outcomes(recordings, options, None, Limits()):
@@ -329,11 +317,11 @@ def baseline_command(
 
 
 @command.command(name="check")
-@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING…", type=PATH)
+@RECORDINGS
 @click.option("--baseline", "file", type=PATH, help="From fes timing baseline.")
-@click.option("--session", type=PATH, help="Settings (TOML). Default: session.toml beside each recording.")
-@how_to_measure
-@how_to_judge
+@SESSION
+@HOW_TO_MEASURE
+@HOW_TO_JUDGE
 def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool, **chosen: Any) -> None:
     """Replay and hold against the truth and the baseline.
 
@@ -343,7 +331,7 @@ def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool
     """
     judging = {name: chosen.pop(name) for name in _JUDGING}
     options = _options(chosen)
-    with failing(*_faults()):
+    with failing(*FAULTS):
         baseline = read_baseline(file) if file else None
     limits = _limits(judging, baseline)
     outcomes = [outcome for _, outcome in _outcomes(recordings, options, baseline, limits)]
@@ -355,10 +343,10 @@ def check_command(recordings: tuple[Path, ...], file: Path | None, as_json: bool
 
 
 @command.command(name="compare")
-@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING…", type=PATH)
+@RECORDINGS
 @click.option("--session", "sessions", type=PATH, multiple=True, required=True, help="Settings (TOML); give two.")
-@how_to_measure
-@how_to_judge
+@HOW_TO_MEASURE
+@HOW_TO_JUDGE
 def compare_command(recordings: tuple[Path, ...], sessions: tuple[Path, ...], as_json: bool, **chosen: Any) -> None:
     """Two versions of the settings side by side, on the same recordings: differences are second − first.
 
@@ -380,10 +368,6 @@ def compare_command(recordings: tuple[Path, ...], sessions: tuple[Path, ...], as
 
 
 _JUDGING: Final = ("tolerance_ms", "allow", "latency_budget_ms", "junit", "out", "no_report")
-
-
-def _faults() -> tuple[type[Exception], ...]:
-    return ConfigError, CalibrationError, ReferenceError, TimingError, RecordingError, SessionLogError
 
 
 def _options(chosen: dict[str, Any]) -> Options:
@@ -431,7 +415,7 @@ def _outcomes(
     found = find_recordings(recordings)
     warm_up()
     done = []
-    with failing(*_faults()):
+    with failing(*FAULTS):
         for case in cases(found, options):
             outcome, case = judged(case, baseline, limits)
             done.append((replace(case, recording=None), outcome))
@@ -494,18 +478,16 @@ def _end(outcomes: Sequence[RecordingTiming]) -> None:
 
 
 def _overview(outcomes: Sequence[RecordingTiming]) -> RenderableType:
+    from fes.report.tables import small_table
     from fes.report.text import number
+    from fes.report.timing import totals
 
     titles = ("events", "missed", "extra", "moved", "worst\nms", "p99\nms", "failed")
-    table = narrow_table(
-        "Timing", "of the baseline's events; without a baseline, of the truth's.", ["recording"], titles
-    )
+    caption = "of the baseline's events; without a baseline, of the truth's."
+    table = small_table("Timing", caption, ["recording"], titles)
     for each in outcomes:
-        rows = each.own or each.true
-        errors = [float(abs(row.error_ms).max()) for row in rows if len(row.pairs_ns)]
-        counts = [sum(len(row.pairs_ns) for row in rows), sum(len(row.missed_ns) for row in rows)]
-        counts += [sum(len(row.extra_ns) for row in rows), sum(row.moved for row in rows)]
-        shown = [str(count) if count else "·" for count in counts]
+        errors = [float(abs(row.error_ms).max()) for row in each.own or each.true if len(row.pairs_ns)]
+        shown = [str(count) if count else "·" for count in totals(each).values()]
         shown += [number(max(errors, default=float("nan")), 1), number(each.latency.p99_ms, 2)]
         table.add_row(each.name, *shown, str(len(each.failures) or "·"), style="red" if each.failures else "")
     return table
@@ -516,52 +498,30 @@ def recording_table(timing: RecordingTiming, names: tuple[str, str]) -> Renderab
     from rich.console import Group
     from rich.text import Text
 
+    from fes.report.tables import small_table
     from fes.report.text import number
+    from fes.report.timing import row_numbers
 
     parts: list[RenderableType] = []
-    counted = ("exp-\nected", "\nmissed", "\nextra")
     failed = {(f.against, f.who, f.what) for f in timing.failures}
-    if timing.true:
-        caption = f"errors: found − true. before: {names[1]}. limits: bias ± 1.96 SD."
-        titles = (*counted, "bias\nms", "SD\nms", "limits\nms", "", "before:\nbias", "limits\nms", "")
-        table = narrow_table(f"{timing.name} against {timing.truth}", caption, ["\nwho", "\nwhat"], titles)
-        for row in timing.true:
-            now = row.spread
-            was = next((s for s in timing.before if (s.who, s.what) == (row.who, row.what)), None)
-            values = (now.bias_ms, now.sd_ms, now.lower_ms, now.upper_ms)
-            before = (was.bias_ms, was.lower_ms, was.upper_ms) if was else (float("nan"),) * 3
-            table.add_row(
-                row.who.replace("_", " "),
-                row.what,
-                *(
-                    str(count) if count or at == 0 else "·"
-                    for at, count in enumerate((now.expected, now.missed, now.extra))
-                ),
-                *(number(value, 1) for value in (*values, *before)),
-                style="red" if ("truth", row.who, row.what) in failed else "",
-            )
-        parts.append(table)
-    if timing.own:
-        caption = f"differences: {names[0]} − {names[1]}, event by event. moved: beyond the tolerance."
-        columns = (*counted, "\nmoved", "mean\nms", "SD\nms", "worst\nms", "tol.\nms")
-        table = narrow_table(f"{timing.name}: {names[0]} − {names[1]}", caption, ["\nwho", "\nwhat"], columns)
-        for row in timing.own:
-            now, error_ms = row.spread, row.error_ms
-            worst = float(error_ms[abs(error_ms).argmax()]) if len(error_ms) else float("nan")
-            table.add_row(
-                row.who.replace("_", " "),
-                row.what,
-                *_counts(now.expected, now.missed, now.extra, row.moved),
-                *(number(value, 1) for value in (now.bias_ms, now.sd_ms, worst, row.tolerance_ms)),
-                style="red" if ("baseline", row.who, row.what) in failed else "",
-            )
-        parts.append(table)
+    truth = f"errors: found − true. before: {names[1]}. limits: bias ± 1.96 SD."
+    baseline = f"differences: {names[0]} − {names[1]}, event by event. moved: beyond the tolerance."
+    of_truth = ("bias\nms", "SD\nms", "limits\nms", "", "before:\nbias", "limits\nms", "")
+    of_baseline = ("\nmoved", "mean\nms", "SD\nms", "worst\nms", "tol.\nms")
+    for against, rows, title, caption, titles in (
+        ("truth", timing.true, f" against {timing.truth}", truth, of_truth),
+        ("baseline", timing.own, f": {names[0]} − {names[1]}", baseline, of_baseline),
+    ):
+        columns = ("exp-\nected", "\nmissed", "\nextra", *titles)
+        table = small_table(f"{timing.name}{title}", caption, ["\nwho", "\nwhat"], columns)
+        for row in rows:
+            counts, values = row_numbers(timing, row, against)
+            told = [str(counts[0]), *(str(count) if count else "·" for count in counts[1:])]
+            style = "red" if (against, row.who, row.what) in failed else ""
+            table.add_row(row.who.replace("_", " "), row.what, *told, *(number(v, 1) for v in values), style=style)
+        parts += [table] if rows else []
     late = timing.latency
     before_text = "" if late.p99_before_ms != late.p99_before_ms else f" (before: {late.p99_before_ms:.2f})"
     text = f"Decisions: median {late.p50_ms:.2f} ms, p99 {late.p99_ms:.2f}{before_text}, at most {late.max_ms:.2f}."
     parts.append(Text(text if late.steps else "Decisions: no latency recorded."))
     return Group(*parts)
-
-
-def _counts(first: int, *others: int) -> list[str]:
-    return [str(first), *(str(count) if count else "·" for count in others)]

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,32 +26,11 @@ from fes.session_log import SessionRecord
 from fes.walk_record import Finding
 
 if TYPE_CHECKING:
-    from fes.analysis.results import Analysis
-    from fes.analysis.tables import Table
     from fes.evaluation.reference.evaluation import Evaluation
     from fes.simulation.truth import Truth
 
 COLOURS = {"left": "#0072b2", "right": "#d55e00"}  # Okabe and Ito 2008: told apart by everybody
 PHASES = ("stance", "pre_swing", "swing", "loading_response")
-
-
-class Shown(Protocol):
-    """What is drawn of a result."""
-
-    @property
-    def strides(self) -> Table:
-        """A row a stride."""
-
-    @property
-    def phases(self) -> Table:
-        """A row a change of phase."""
-
-    @property
-    def path(self) -> Table:
-        """A row a tenth of a second and foot."""
-
-    def analysis(self) -> Analysis:
-        """The whole, of one part."""
 
 
 class Plots:
@@ -61,7 +40,7 @@ class Plots:
         ImportError: matplotlib is not installed.
     """
 
-    def __init__(self, result: Shown) -> None:
+    def __init__(self, result: Result) -> None:
         self._result = result
 
     def strides(self, column: str = "stride_length_m", axes: Any = None) -> Any:

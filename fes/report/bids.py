@@ -1,15 +1,11 @@
 """A session log → a data set of the Brain Imaging Data Structure (BIDS), with its extension for motion.
 
-Sources: the BIDS specification from 1.9.0 on (https://bids-specification.readthedocs.io), *Motion*: tables without a
-header, required fields, keywords of type and component, LATENCY; *Events*; *Data summary files*; *Common principles*:
-labels, ``n/a``, units, dates. S. Jeung et al. (2024), Motion-BIDS, Scientific Data 11, 716.
+Sources: the BIDS specification from 1.9.0 on (https://bids-specification.readthedocs.io), *Motion*, *Events*, *Data
+summary files*, *Common principles*; S. Jeung et al. (2024), Motion-BIDS, Scientific Data 11, 716.
 
-Each sensor is a tracking system of its own, for it has its own rate, gaps and number of samples. Nothing is
-interpolated or filled: a row is a sample that came, its channel of type LATENCY says when it was taken, and each gap is
-an event. One zero holds for all files: the first sample of any sensor, whose tracking system the events name.
-
-Of names only the subject's label is written. Texts of marks, notes and faults lose what the log's header names, as in
-:func:`fes.session_log.anonymise.anonymise`.
+Each sensor is a tracking system of its own, for it has its own rate, gaps and number of samples; nothing is
+interpolated. One zero holds for all files: the first sample of any sensor, whose tracking system the events name. Of
+names only the subject's label is written, as in :func:`fes.session_log.anonymise.anonymise`.
 """
 
 import csv

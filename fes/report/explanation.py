@@ -10,7 +10,7 @@ from fes.evaluation.explanation import AROUND_NS, Explanation, FootThen
 from fes.report.figures.strides import PHASE_COLORS
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.figures.timeseries import channel_color
-from fes.report.html import rendered, trusted
+from fes.report.html import rendered
 from fes.report.tables import add_columns, small_table
 from fes.report.text import number, plain, readable
 from fes.signals import NS_PER_S
@@ -52,9 +52,7 @@ def cell(value: bool | float) -> str:
 def explanation_table(explained: Explanation) -> Table:
     """What every guard saw against its threshold; those of other phases are dim."""
     caption = "✓ holds, · does not; dim: not asked in this phase. Limits: docs/phases.md"
-    table = small_table("What the guards saw", caption)
-    add_columns(table, "foot", "guard", "", "what")
-    add_columns(table, "seen", "", "limit", right=True)
+    table = small_table("What the guards saw", caption, ["foot", "guard", "", "what"], ["seen", "", "limit"])
     add_columns(table, "unit", "the limit is")
     before = ""
     for row in guard_rows(explained):
@@ -117,5 +115,5 @@ def render_explanation(explained: Explanation, log: str, differs: str = "") -> s
     drawn = [explanation_figure(explained, foot) for foot in explained.feet if len(explained.trace[foot.foot]) > 1]
     rows = [row | {name: cell(row[name]) for name in ("seen", "limit")} for row in guard_rows(explained)]
     keys = list(PHASE_COLORS.items())
-    shown = {"rows": rows, "figures": trusted(drawn), "phases": keys}
+    shown = {"rows": rows, "figures": drawn, "phases": keys}
     return rendered("explanation.html.j2", e=explained, log=log, differs=differs, shown=shown)

@@ -96,8 +96,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
             yield from _channel(channel, summary.command_period_s)
             yield from _tuning(channel, summary)
         yield from _wire(summary)
-        yield from _disorder(summary)
-        yield from _false_starts(summary)
+        yield from _noted(summary)
         yield from _toe_on_the_ground(summary)
         yield from _strides(summary)
         yield from _speed(summary)
@@ -247,21 +246,15 @@ def _toe_on_the_ground(summary: SessionSummary) -> Iterator[Finding]:
             )
 
 
-def _disorder(summary: SessionSummary) -> Iterator[Finding]:
-    """Feet whose cycle the machine did not see, by the session's own notes: from when on, and why."""
-    told = [each for each in summary.notices if each.source == NOTED and each.severity == "warning"]
-    if told:
-        often = f" {count_of(len(told), 'time')}, first" if len(told) > 1 else ""
-        text = f"A foot came into disorder{often} at {told[0].time_s:.1f} s: {told[0].text}."
-        yield Finding("warning", text)
-
-
-def _false_starts(summary: SessionSummary) -> Iterator[Finding]:
-    """Bursts that began early and no heel rise came, by the session's own notes."""
-    told = [each for each in summary.notices if each.source == ONSET and each.severity == "warning"]
-    if told:
-        text = f"{count_of(len(told), 'false start')}, first at {told[0].time_s:.1f} s: {told[0].text}."
-        yield Finding("warning", text)
+def _noted(summary: SessionSummary) -> Iterator[Finding]:
+    """Feet whose cycle the machine did not see, and early bursts without a heel rise: when first, and why."""
+    for source, what in ((NOTED, "time"), (ONSET, "false start")):
+        told = [each for each in summary.notices if each.source == source and each.severity == "warning"]
+        if told:
+            often = f"{count_of(len(told), what)}, first"
+            if source == NOTED:
+                often = "A foot came into disorder" + (f" {often}" if len(told) > 1 else "")
+            yield Finding("warning", f"{often} at {told[0].time_s:.1f} s: {told[0].text}.")
 
 
 def _numbers(rows: list[StrideRow]) -> str:

@@ -1,13 +1,11 @@
 """The gait parameters of a session log, and every drawable stride of a foot on the same points.
 
-``fes analyse`` works parameters out from the samples (:mod:`fes.analysis.parameters`). A log's strides were finished
-while the session ran: foot off and initial contact are the entries into swing and loading response that the controller
-saw, orientation is kept as pitch only, and step lengths cannot be told. The definitions are the same.
+A log's strides were finished while the session ran: foot off and initial contact are the entries into swing and loading
+response that the controller saw, orientation is kept as pitch only, and step lengths cannot be told. The definitions
+are those of :mod:`fes.analysis.parameters`.
 
-Drawn strides run from mid-stance to mid-stance (0 to 100 %), each in its own frame: x along the stride, y to the left,
-z up. Where in its stance a foot is quietest is a matter of chance, and would smear the mean of the swing. So each
-stride is stretched to have its heel rise and its foot flat (entries into pre-swing and stance) where the foot's strides
-have them on the mean; without both, evenly. The same strides count as in the gait parameters.
+Drawn strides run from mid-stance to mid-stance, each in its own frame: x along the stride, y to the left, z up. Each is
+stretched to have its heel rise and its foot flat where the foot's strides have them on the mean; without both, evenly.
 """
 
 import math

@@ -1,50 +1,20 @@
 """The way to an HTML page: templates, style sheets and scripts, escaping, and the file written whole or not at all."""
 
 import json
-import os
-from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
-from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined
-from jinja2.bccache import Bucket
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from fes import __version__
-from fes.report.figures.svg import Figure
 from fes.report.text import local_time, mean_sd, number, plain, readable, slug
 
 
 class ReportError(OSError):
     """A report cannot be written; the message names the file and what to do, ``strerror`` why."""
-
-
-class TemplateCache(FileSystemBytecodeCache):
-    """Compiled templates in the user's cache folder; one that has changed is compiled anew.
-
-    Compiling the report's takes a tenth of a second. Where nothing can be kept, nothing is.
-    """
-
-    def __init__(self) -> None:
-        folder = Path(os.devnull)  # where nothing can be
-        with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
-            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-            folder = base / "fes-gait" / "templates"
-            folder.mkdir(parents=True, exist_ok=True)
-        super().__init__(str(folder))
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        """Fill in a template if it has been kept."""
-        with suppress(OSError):
-            super().load_bytecode(bucket)
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep one compiled template."""
-        with suppress(OSError):
-            super().dump_bytecode(bucket)
 
 
 @cache
@@ -56,7 +26,6 @@ def templates(package: str = "fes.report") -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=TemplateCache(),
     )
     filters = {"num": number, "mean_sd": mean_sd, "readable": readable, "local_time": local_time, "slug": slug}
     environment.filters |= filters
@@ -73,11 +42,6 @@ def rendered(name: str, package: str = "fes.report", **values: object) -> str:
 def asset(name: str) -> str:
     """A style sheet or script of the report."""
     return files("fes.report").joinpath("static", name).read_text(encoding="utf-8")
-
-
-def trusted(figures: Iterable[Figure]) -> list[dict[str, Any]]:
-    """Figures for a template; only the plot itself, whose texts are escaped where it is made, is trusted."""
-    return [{"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption} for figure in figures]
 
 
 def embed(value: object) -> str:

@@ -1,10 +1,8 @@
 """The report: one HTML file with all of a session in it, that opens anywhere without a network.
 
-A click in its signals tells of that instant what the guards saw, and how gate and channels stood. For what the guards
-saw, the session's trackers run again over the samples of the log.
-
-Stimulation and gate are not asked, so an hour takes seconds. Kept are the samples at which a phase changed, and between
-them an even grid that gets coarser the longer the session is, so that a report's size is bounded.
+For a click in its signals, which tells what the guards saw, the session's trackers run again over the log's samples;
+stimulation and gate are not asked. Kept are the samples at which a phase changed, and between them an even grid that is
+coarser the longer the session is, so that a report's size is bounded.
 """
 
 from __future__ import annotations
@@ -31,16 +29,24 @@ from fes.report.figures.strides import ground_figures, space_figure, swing_figur
 from fes.report.figures.timeseries import channel_color, chart_data, latency_figure, stimulation_figures, tuning_figures
 from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
-from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
-from fes.report.parameter_table import key_numbers, parameter_rows, parameter_slugs, scales_in_words, terms, walk_rows
-from fes.report.quality import describe_flags
+from fes.report.html import asset, css_text, embed, rendered, write_page_file
+from fes.report.parameter_table import (
+    hemiparetic_section,
+    key_numbers,
+    parameter_rows,
+    parameter_slugs,
+    scales_in_words,
+    terms,
+    walk_rows,
+)
+from fes.report.quality import LATCHED, describe_flags
 from fes.report.stimulation import ChannelInfo
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
 from fes.report.text import local_time, plain, readable
 from fes.signals import NS_PER_S, FloatArray, IntArray, OperatorAction, StrideResult
 from fes.stimulation.walking import WalkingJudge
-from fes.walk_record import SampleArrays, WalkRecord
+from fes.walk_record import Finding, SampleArrays, WalkRecord
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, Transition
 from statemachine.table import TABLE
@@ -130,7 +136,6 @@ def _kept(samples: SampleArrays, changes_ns: IntArray, most: int) -> IntArray:
     return np.union1d(grid, fired)
 
 
-LATCHED: Final = "off until armed again: "  # as fes.control.runner notes it
 MOST_SPANS: Final = 5000  # of one channel's refusals
 
 
@@ -318,12 +323,14 @@ def render_report(
     care = f" With care: {described}." if described else ""
     over_stride, butterflies = strides.curve_figures(curves, care), strides.butterfly_figures(curves, care)
     space = space_figure(curves)
-    section = None
+    section: dict[str, Any] = {}
+    more: list[Finding] = []
     if hemiparetic is not None:
-        from fes.report.hemiparetic import hemiparetic_section
-
         section = hemiparetic_section(hemiparetic)
-    spaces = [figure for figure in (space, section.space if section else None) if figure is not None]
+        told = f"{section['heading']}. See under Hemiparetic walk how the signs agree; it is no diagnosis."
+        more = [Finding("info", told)]
+    windows = section.get("space")
+    spaces = [figure for figure in (space, windows) if figure is not None]
     named = " – ".join(part[:60] for part in (summary.name, summary.subject, local_time(summary.created)) if part)
     running_head = f"@page {{ @top-left {{ content: {css_text(named)}; }} }}\n"
     parts = {key: value for key, value in record.header.items() if isinstance(value, (dict, list)) and value}
@@ -331,8 +338,8 @@ def render_report(
         "report.html.j2",
         s=summary,
         title=f"{summary.name} – gait and stimulation",
-        front=front_page(summary, [section.finding] if section else []),
-        front_figures=trusted(over_stride[:2]),
+        front=front_page(summary, more),
+        front_figures=over_stride[:2],
         gait=measured,
         from_samples=gait is not None,
         compared=next((f"{both.first} over {both.second}" for both in measured.sides.values()), ""),
@@ -346,15 +353,15 @@ def render_report(
         sensors=sensors,
         terms=terms(),
         parameter_slugs=parameter_slugs(),
-        stride_figures=trusted([*over_stride, *butterflies, *([space.figure] if space else [])]),
-        window_figures=trusted([section.space.figure] if section and section.space else []),
-        ground_figures=trusted(ground_figures(data, paths or {})),
-        each_figures=trusted(strides.stride_figures(data, flags)),
-        phase_figures=trusted(strides.phase_figures(data, flags)),
-        stimulation_figures=trusted(stimulation_figures(data)),
-        swing_figures=trusted(swing_figures(data)),
-        tuning_figures=trusted(tuning_figures(data)),
-        latency_figure=trusted([figure for figure in [latency_figure(data)] if figure]),
+        stride_figures=[*over_stride, *butterflies, *([space.figure] if space else [])],
+        window_figures=[windows.figure] if windows else [],
+        ground_figures=ground_figures(data, paths or {}),
+        each_figures=strides.stride_figures(data, flags),
+        phase_figures=strides.phase_figures(data, flags),
+        stimulation_figures=stimulation_figures(data),
+        swing_figures=swing_figures(data),
+        tuning_figures=tuning_figures(data),
+        latency_figure=[figure for figure in [latency_figure(data)] if figure],
         phase_colors=strides.PHASE_COLORS,
         foot_color=strides.foot_color,
         channel_color=channel_color,

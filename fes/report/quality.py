@@ -25,6 +25,7 @@ GAP_FACTOR = 1.8  # an interval this many times the usual one has at least one s
 NAN = float("nan")
 AT_LIMIT: Final = 0.999  # of a range that is known
 IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
+LATCHED: Final = "off until armed again: "  # as fes.control.runner notes it
 STALE: Final = " ms old, limit "  # as fes.gate.freshness words it
 THRESHOLDS: Final = "thresholds"  # who notes this person's measures, stride by stride
 LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that are lost elsewhere change nothing
@@ -210,8 +211,8 @@ class SensorFlags:
         values = self.lost if kind == LOST else self.at_limit["acc" if kind == CLIPPED_ACC else "gyr"]
         return int(values[low:high].sum())
 
-    def spans(self, origin_ns: int, join_s: float = 0.05) -> list[dict[str, Any]]:
-        """Stretches with anything wrong, those less than ``join_s`` apart as one: kind, start and end in s."""
+    def spans(self, origin_ns: int) -> list[dict[str, Any]]:
+        """Stretches with anything wrong, those less than 50 ms apart as one: kind, start and end in s."""
         found = []
         for kind, wrong in (("clipped", self.at_limit["acc"] | self.at_limit["gyr"]), ("lost", self.lost > 0)):
             at = np.flatnonzero(wrong)
@@ -220,7 +221,7 @@ class SensorFlags:
             begin = end = self.t_ns[at]
             if kind == "lost":  # it began so many samples ago
                 begin = end - (self.lost[at] * self.period_ns).astype(np.int64)
-            first = np.flatnonzero(np.append(True, begin[1:] - end[:-1] > join_s * NS_PER_S))
+            first = np.flatnonzero(np.append(True, begin[1:] - end[:-1] > 0.05 * NS_PER_S))
             last = np.append(first[1:] - 1, at.size - 1)
             spans_s = (np.column_stack((begin[first], end[last])) - origin_ns) / NS_PER_S
             found += [{"kind": kind, "start_s": round(a, 4), "end_s": round(b, 4)} for a, b in spans_s.tolist()]

@@ -78,11 +78,6 @@ def measure_rows(record: WalkRecord, settings: Session | None) -> tuple[MeasureR
     return tuple(rows)
 
 
-def thresholds_set(settings: Session | None) -> str:
-    """What the session set and where it comes from, in a sentence; "" for nothing."""
-    return describe_thresholds(settings.thresholds) if settings is not None else ""
-
-
 def _at_the_beginning(data: Any, settings: Session | None) -> Thresholds | None:
     """What the calibration gives, and the session changes; None where the log's is none."""
     try:
@@ -432,7 +427,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         tuning=stimulation.tuning_rows(record.notes, origin_ns),
         reached=stimulation.reach_rows(settings, commands, origin_ns),
         measures=measure_rows(record, settings),
-        thresholds=thresholds_set(settings),
+        thresholds=describe_thresholds(settings.thresholds) if settings else "",
         marks=marks,
         by_hand=hand_rows(record, origin_ns, settings.stimulation.intensity if settings else 1.0),
         exercise=exercise_summary(record, settings),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Group, RenderableType
 from rich.markup import escape
+from rich.padding import PaddingDimensions
 from rich.table import Table
 from rich.text import Text
 
@@ -33,11 +35,20 @@ def path_mark(row: StrideRow) -> str:
     return how + (f"+{times if times > 1 else ''}T5" if times else "")
 
 
-def small_table(title: str, caption: str, padding: tuple[int, int, int, int] = (0, 0, 0, 0)) -> Table:
-    """An empty table as the terminal shows them, with a legend below."""
+def small_table(
+    title: str,
+    caption: str,
+    texts: Sequence[str],
+    numbers: Sequence[str] = (),
+    padding: PaddingDimensions = 0,
+) -> Table:
+    """A table as the terminal shows them, with a legend below: columns of texts, then of numbers, by their titles."""
     left: dict[str, Any] = {"title_justify": "left", "caption_justify": "left"}
     edges: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "show_edge": False}
-    return Table(title=title, caption=caption, padding=padding, **left, **edges)
+    table = Table(title=title, caption=caption, padding=padding, **left, **edges)
+    add_columns(table, *texts)
+    add_columns(table, *numbers, right=True)
+    return table
 
 
 def add_columns(table: Table, *titles: str, right: bool = False) -> None:
@@ -46,9 +57,9 @@ def add_columns(table: Table, *titles: str, right: bool = False) -> None:
         table.add_column(title, justify="right" if right else "left", no_wrap=True)
 
 
-def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
-    """A row per stride and channel, at most 100 columns wide; ``limit`` shows only the last so many strides."""
-    rows = summary.strides if limit is None else summary.strides[max(len(summary.strides) - limit, 0) :]
+def stride_table(summary: SessionSummary) -> Table:
+    """A row per stride and channel, at most 100 columns wide."""
+    rows = summary.strides
     notes = list(dict.fromkeys(text for row in rows for text in _notes(row)))
     legend = [
         "len.: stride length; clr.: greatest height of the sensor",
@@ -57,12 +68,8 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
         "onset: after pre-swing began; dose: charge of one phase of all pulses",
         *(f"note {index}: {text}" for index, text in enumerate(notes, 1)),
     ]
-    shown, total = len(rows), len(summary.strides)
-    title = "Strides" if shown == total else f"The last {shown} of {total} strides"
-    table = small_table(title, escape("\n".join(legend)))
-    add_columns(table, "\nfoot", "\nno.")
     measures = ("start\ns", "len.\nm", "clr.\ncm", "pre\nms", "swing\nms", "load\nms", "stance\nms")
-    add_columns(table, *measures, right=True)
+    table = small_table("Strides", escape("\n".join(legend)), ["\nfoot", "\nno."], measures)
     add_columns(table, "\npath")
     add_columns(table, "\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC", right=True)
     if notes:
@@ -193,12 +200,11 @@ def parameter_table(parameters: GaitParameters) -> Table:
     from fes.report.parameter_table import parameter_rows
 
     table = Table(title="Gait parameters", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    table.add_column("parameter", no_wrap=True)
+    add_columns(table, "parameter")
     for foot in parameters.feet:
-        table.add_column(f"{foot.removesuffix('_foot')}, mean ± SD", justify="right", no_wrap=True)
-        table.add_column("CV %", justify="right", no_wrap=True)
+        add_columns(table, f"{foot.removesuffix('_foot')}, mean ± SD", "CV %", right=True)
     if parameters.sides:
-        table.add_column("SI %", justify="right", no_wrap=True)
+        add_columns(table, "SI %", right=True)
     for row in parameter_rows(parameters, {}):
         symbol = DEFINITIONS[row.key].symbol
         cells = [f"{row.name}{f' ({symbol})' if symbol else ''}, {row.unit}"]

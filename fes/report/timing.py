@@ -10,11 +10,11 @@ import numpy as np
 from markupsafe import Markup
 
 from fes.evaluation.timing.judgement import RecordingTiming
-from fes.evaluation.timing.marks import TimingRow
+from fes.evaluation.timing.marks import Spread, TimingRow
 from fes.report.figures.strides import PHASE_COLORS
 from fes.report.figures.svg import Figure, Plot
 from fes.report.figures.timeseries import chart_data
-from fes.report.html import asset, embed, rendered, trusted, write_page_file
+from fes.report.html import asset, embed, rendered, write_page_file
 from fes.report.summary import summarise_session
 from fes.report.text import number, readable
 from fes.signals import NS_PER_S, FloatArray
@@ -53,10 +53,7 @@ def write_timing_pages(outcomes: Sequence[RecordingTiming], folder: Path, names:
         {
             "name": each.name,
             "page": pages[each.name].name,
-            "events": sum(len(row.pairs_ns) for row in each.own or each.true),
-            "missed": sum(len(row.missed_ns) for row in each.own or each.true),
-            "extra": sum(len(row.extra_ns) for row in each.own or each.true),
-            "moved": sum(row.moved for row in each.own or each.true),
+            **totals(each),
             "p99": number(each.latency.p99_ms, 2),
             "failures": [_sentence(failure.who, failure.what, failure.text) for failure in each.failures],
             "worst": worst[each.name][:3],
@@ -64,14 +61,35 @@ def write_timing_pages(outcomes: Sequence[RecordingTiming], folder: Path, names:
         for each in outcomes
     ]
     index = folder / "index.html"
-    failed = sum(bool(each.failures) for each in outcomes)
-    text = rendered("timing_list.html.j2", title="Timing", rows=rows, failed=failed, judged=_is_judged(outcomes))
+    failed, judged = sum(bool(each.failures) for each in outcomes), any(each.judged for each in outcomes)
+    text = rendered("timing_list.html.j2", title="Timing", rows=rows, failed=failed, judged=judged)
     write_page_file(text, index, _REMEDY)
     return index
 
 
-def _is_judged(outcomes: Sequence[RecordingTiming]) -> bool:
-    return any(each.judged for each in outcomes)
+def totals(timing: RecordingTiming) -> dict[str, int]:
+    """How many of the baseline's events were found, missed, extra and moved; without a baseline, of the truth's."""
+    rows = timing.own or timing.true
+    counts = {"events": "pairs_ns", "missed": "missed_ns", "extra": "extra_ns"}
+    found = {name: sum(len(getattr(row, times)) for row in rows) for name, times in counts.items()}
+    return found | {"moved": sum(row.moved for row in rows)}
+
+
+def row_numbers(timing: RecordingTiming, row: TimingRow, against: str) -> tuple[list[int], list[float]]:
+    """Counts and milliseconds of a row: against the "truth" bias, SD, its limits and those before; against the
+    "baseline" mean, SD, the worst and the tolerance."""
+    now, error_ms = row.spread, row.error_ms
+    counts = [now.expected, now.missed, now.extra]
+    if against == "truth":
+        was = _before(timing, row)
+        before = [was.bias_ms, was.lower_ms, was.upper_ms] if was else [float("nan")] * 3
+        return counts, [now.bias_ms, now.sd_ms, now.lower_ms, now.upper_ms, *before]
+    worst_ms = float(error_ms[np.abs(error_ms).argmax()]) if len(error_ms) else float("nan")
+    return [*counts, row.moved], [now.bias_ms, now.sd_ms, worst_ms, row.tolerance_ms]
+
+
+def _before(timing: RecordingTiming, row: TimingRow) -> Spread | None:
+    return next((each for each in timing.before if (each.who, each.what) == (row.who, row.what)), None)
 
 
 def _sentence(who: str, what: str, text: str) -> str:
@@ -125,12 +143,12 @@ def render_timing(timing: RecordingTiming, names: tuple[str, str], worst: Sequen
         t=timing,
         names=names,
         failures=[(_sentence(f.who, f.what, f.text), f.against) for f in timing.failures],
-        true_rows=[_true_cells(timing, row) for row in timing.true],
-        own_rows=[_own_cells(row) for row in timing.own],
+        true_rows=[_cells(timing, row, "truth") for row in timing.true],
+        own_rows=[_cells(timing, row, "baseline") for row in timing.own],
         worst=worst,
         lines=lines,
         phase_colors=PHASE_COLORS,
-        figures=trusted([*_delays(timing, names), *_shifts(timing, names), *_latency(timing)]),
+        figures=[*_delays(timing, names), *_shifts(timing, names), *_latency(timing)],
         data=Markup(embed(data | {"spaces": []})),
         style=Markup("".join(map(asset, ("uPlot.min.css", "report.css", "report_page.css")))),
         script=Markup(asset("report.js")),
@@ -157,28 +175,15 @@ def _moments(timing: RecordingTiming) -> dict[str, list[dict[str, Any]]]:
     return out
 
 
-def _true_cells(timing: RecordingTiming, row: TimingRow) -> dict[str, Any]:
-    now = row.spread
-    was = next((each for each in timing.before if (each.who, each.what) == (row.who, row.what)), None)
-    limits = [number(value, 1, "+") for value in (now.lower_ms, now.upper_ms)]
+def _cells(timing: RecordingTiming, row: TimingRow, against: str) -> dict[str, Any]:
+    counts, values = row_numbers(timing, row, against)
+    unsigned = (1, 3) if against == "baseline" else (1,)  # the SD, the tolerance
+    failed = any((f.against, f.who, f.what) == ("truth", row.who, row.what) for f in timing.failures)
     return {
         "name": f"{readable(row.who)} {row.what}",
-        "counts": (now.expected, now.missed, now.extra),
-        "values": [number(now.bias_ms, 1, "+"), number(now.sd_ms, 1), *limits],
-        "before": [number(value, 1, "+") for value in (was.bias_ms, was.lower_ms, was.upper_ms)] if was else ["–"] * 3,
-        "failed": any((f.against, f.who, f.what) == ("truth", row.who, row.what) for f in timing.failures),
-    }
-
-
-def _own_cells(row: TimingRow) -> dict[str, Any]:
-    now, error_ms = row.spread, row.error_ms
-    worst_ms = float(error_ms[np.abs(error_ms).argmax()]) if len(error_ms) else float("nan")
-    return {
-        "name": f"{readable(row.who)} {row.what}",
-        "counts": (now.expected, now.missed, now.extra, row.moved),
-        "values": [number(now.bias_ms, 1, "+"), number(now.sd_ms, 1), number(worst_ms, 1, "+")],
-        "tolerance": number(row.tolerance_ms, 1),
-        "failed": bool(now.missed or now.extra or row.moved),
+        "counts": counts,
+        "values": [number(value, 1, "" if k in unsigned else "+") for k, value in enumerate(values)],
+        "failed": failed if against == "truth" else any(counts[1:]),
     }
 
 
@@ -188,7 +193,7 @@ def _delays(timing: RecordingTiming, names: tuple[str, str]) -> list[Figure]:
         if not len(row.pairs_ns):
             continue
         now = row.spread
-        was = next((each for each in timing.before if (each.who, each.what) == (row.who, row.what)), None)
+        was = _before(timing, row)
         levels = [(now.bias_ms, NOW_COLOR, "bias"), (now.lower_ms, FAILED_COLOR, ""), (now.upper_ms, FAILED_COLOR, "")]
         levels += [(was.bias_ms, BEFORE_COLOR, names[1])] if was else []
         caption = f"{len(row.pairs_ns)} pairs, {now.missed} missed, {now.extra} extra. Red: 95 % limits."

@@ -82,6 +82,9 @@ def test_a_replay_prints_table_and_summary_and_leaves_log_and_report(tmp_path: P
     assert "<html" in (folder / "report.html").read_text(encoding="utf-8")[:500]
     assert "Strides" in result.stdout
     assert "never outside pre-swing" in result.stdout
+    widths = [len(line.rstrip()) for line in result.stdout.splitlines() if str(tmp_path) not in line]
+    assert 80 < max(widths) <= 110, "a pipe gets lines of a sane width"
+    assert "\x1b" not in result.stdout
     assert result.stderr == ""
 
 
@@ -95,14 +98,6 @@ def test_json_is_json_and_nothing_else_on_stdout(tmp_path: Path) -> None:
     assert found["files"]["report"] is None
     assert "Nothing is stimulated" in done.stderr  # no session.toml beside it, and that is said
     assert "Traceback" not in done.stderr
-
-
-def test_a_pipe_gets_lines_of_a_sane_width(tmp_path: Path) -> None:
-    done = call("replay", CSV, "--session", SETTINGS, "--stimulator", "none", "--no-report", "--out", tmp_path)
-    widths = [len(line.rstrip()) for line in done.stdout.splitlines() if "Session log" not in line]
-    assert 80 < max(widths) <= 110
-    assert "\x1b" not in done.stdout
-    assert done.stderr == ""
 
 
 def test_a_reader_that_goes_away_is_no_traceback(log: Path) -> None:

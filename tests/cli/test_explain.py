@@ -160,6 +160,17 @@ class Spoiler:
             else:
                 yield event
 
+    def into(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """What is run again from now on."""
+        change = self
+
+        class Spoilt(replayed_log.Reopened):
+            def __init__(self, path: Path) -> None:
+                super().__init__(path)
+                self.events = change(self.events)
+
+        monkeypatch.setattr(replayed_log, "Reopened", Spoilt)
+
 
 def stamped(sample: ImuSample, by_ns: int) -> list[Event]:
     return [sample._replace(t_sensor_ns=sample.t_sensor_ns + by_ns)]
@@ -285,13 +296,7 @@ def test_what_the_gate_tells_from_stamps_sensors_and_stimulator(
     # what needs a rest of 0.3 s begins while the patient still stands
     begin_ns = origin_ns(record) + 3 * NS_PER_S if "at rest" in kind else burst_ns + 50_000_000
     spoiler = Spoiler(change, begin_ns)
-
-    class Spoilt(replayed_log.Reopened):
-        def __init__(self, path: Path) -> None:
-            super().__init__(path)
-            self.events = spoiler(self.events)
-
-    monkeypatch.setattr(replayed_log, "Reopened", Spoilt)
+    spoiler.into(monkeypatch)
     at_s = (spoiler.from_ns - origin_ns(record)) / NS_PER_S
     assert "The gate was armed" in explained(log, at_s - 0.02)["gate"]
     found = explained(log, at_s + 3.0)
@@ -365,13 +370,7 @@ def test_arming_refused(kind: str, walked: tuple[Path, SessionRecord], monkeypat
     log, record = walked
     change, from_s, at_s, words = NOT_READY[kind]
     spoiler = Spoiler(change, origin_ns(record) + round(from_s * NS_PER_S))
-
-    class Spoilt(replayed_log.Reopened):
-        def __init__(self, path: Path) -> None:
-            super().__init__(path)
-            self.events = spoiler(self.events)
-
-    monkeypatch.setattr(replayed_log, "Reopened", Spoilt)
+    spoiler.into(monkeypatch)
     found = explained(log, at_s)
     assert found["gate"].startswith(f"The gate was not armed: {words}")
     assert remedy(found["gate"])

@@ -1,4 +1,4 @@
-"""What programs read and people mistype: JSON from every command, no colours where none are wanted, near names."""
+"""What programs read and people type: JSON from every command, near names, the commands of docs/first_hour.md."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from first_hour import ROOT, commands
 
-from fes.cli.common import error_text
+from fes.cli.common import error_text, write_table
 from fes.cli.main import main
-from fes.cli.show import write_table
 from fes.config.base import read_toml
 from fes.recording import SidecarMissingError
 from fes.report.page import render_report
 from fes.walk_record import WalkRecord
 
-WALK = Path(__file__).parents[2] / "sim_inputs" / "both_feet_100hz.parquet"
+WALK = ROOT / "sim_inputs" / "both_feet_100hz.parquet"
 
 
 def test_lists_are_json_too() -> None:
@@ -74,3 +74,16 @@ def test_a_decimal_comma_in_a_sidecar_is_named(tmp_path: Path) -> None:
     (tmp_path / "w.toml").write_text('name = "a"\nbelt_speed_mps = 0,8  # m/s\n')
     with pytest.raises(ValueError, match=r"not valid TOML: .*Decimals have a point: write 0\.8"):
         read_toml(tmp_path / "w.toml", "sidecar", ValueError)
+
+
+def test_the_commands_of_one_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command of docs/first_hour.md that needs one terminal runs as it stands there, in its order."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sim_inputs").symlink_to(ROOT / "sim_inputs")
+    found = commands("sh")
+    assert len(found) >= 6
+    for command in found:
+        result = CliRunner().invoke(main, command[1:])
+        assert result.exit_code == 0, f"{' '.join(command)}\n{result.output}"
+    for name in ("closed_loop-001/report.html", "negard_patient2-001/report.html", "timing.toml", "timing.xml"):
+        assert (tmp_path / "hour" / name).is_file()

@@ -23,8 +23,8 @@ from fes.analysis.parameters.gait import pooled, statistic
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of
 from fes.calibration.recording import calibrate_all, save
 from fes.cli import analyse as cli_analyse
+from fes.cli.common import TableFile, write_table
 from fes.cli.main import main
-from fes.cli.show import TableFile, write_table
 from fes.recording import Recording, RecordingError, read, read_recording, write_recording
 from fes.recording.chunks import cut_into_chunks, recording_chunks
 from fes.recording.read import follow_recording

@@ -13,6 +13,8 @@ import pytest
 import report_records as make
 from page_browser import CHROMIUM, Page, chromium
 
+from fes.report.comparison.page import compare_sessions, render_comparison
+from fes.report.comparison.session import of_record
 from fes.report.page import write_report
 from fes.session_log import SessionRecord
 
@@ -185,3 +187,64 @@ def test_the_printed_summary_is_the_first_page(page: Page, tmp_path):
     assert "How the feet moved" not in told[0]
     assert "How the feet moved" in told[1]
     assert all("not a medical device" in sheet for sheet in told[:-1])
+
+
+# --- The comparison of two sessions ---
+
+
+COMPARED_TERM = "document.querySelector('.compare tbody .term')"
+COMPARED_TIP = f"{COMPARED_TERM}.querySelector('.tip')"
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("comparison")
+    sessions = [
+        of_record(make.walk(30, seed=seed), label, folder / f"{label}.feslog")
+        for label, seed in (("before", 1), ("after", 9))
+    ]
+    (folder / "page.html").write_text(render_comparison(compare_sessions(sessions)), encoding="utf-8")
+    with chromium(folder / "profile") as browser:
+        browser.size(1280, 900)
+        browser.go((folder / "page.html").as_uri())
+        yield browser
+
+
+def test_a_comparison_asks_no_network_and_nothing_complained_of(compared: Page):
+    assert compared.run("performance.getEntriesByType('resource').length") == 0
+    assert compared.console == []
+
+
+@pytest.mark.parametrize("width", [1280, 820])
+def test_a_comparison_fits_and_its_figures_are_drawn(compared: Page, width: int):
+    compared.size(width, 1100)
+    assert compared.run("document.documentElement.scrollWidth") <= width
+    boxes = compared.run(
+        "[...document.querySelectorAll('svg path')].filter(p => p.getAttribute('d').length > 100)"
+        ".map(p => p.getBoundingClientRect()).map(r => [r.width, r.height])"
+    )
+    assert len(boxes) >= 8  # the mean courses of height and pitch, of both sides, of both sessions
+    assert all(0 < wide <= width and high > 0 for wide, high in boxes)
+
+
+def test_a_comparisons_term_explains_itself_by_keyboard_and_by_touch(compared: Page):
+    compared.size(1280, 900)
+    assert compared.run(f"getComputedStyle({COMPARED_TIP}).display") == "none"
+    compared.run(f"{COMPARED_TERM}.focus()")
+    assert compared.run(f"getComputedStyle({COMPARED_TIP}).display") == "block"
+    assert len(compared.run(f"{COMPARED_TIP}.textContent")) > 30
+    compared.scroll_to(".compare tbody .term")
+    box = compared.run(f"(r => [r.left, r.right])({COMPARED_TIP}.getBoundingClientRect())")
+    assert 0 <= box[0] < box[1] <= 1280
+    compared.run(f"{COMPARED_TERM}.blur()")
+    compared.size(820, 1180, touch=True)
+    compared.scroll_to(".compare tbody .term")
+    compared.tap(".compare tbody .term")
+    assert compared.until(f"getComputedStyle({COMPARED_TIP}).display === 'block'")
+
+
+def test_of_a_comparison_printed_there_are_no_open_explanations(compared: Page):
+    compared.run(f"{COMPARED_TERM}.focus()")
+    compared.call("Emulation.setEmulatedMedia", media="print")
+    assert compared.run(f"getComputedStyle({COMPARED_TIP}).display") == "none"
+    compared.call("Emulation.setEmulatedMedia", media="")

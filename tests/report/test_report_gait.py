@@ -28,10 +28,16 @@ from fes.report.figures.strides import butterfly_figures, projected, space_figur
 from fes.report.figures.svg import Figure, Plot
 from fes.report.figures.timeseries import chart_data
 from fes.report.gait import foot_curves, gait_of_strides
-from fes.report.hemiparetic import hemiparetic_section
 from fes.report.html import css_text
 from fes.report.page import render_report
-from fes.report.parameter_table import flags_touching, parameter_rows, temporal_symmetry, terms, walk_rows
+from fes.report.parameter_table import (
+    flags_touching,
+    hemiparetic_section,
+    parameter_rows,
+    temporal_symmetry,
+    terms,
+    walk_rows,
+)
 from fes.report.quality import (
     CLIPPED_ACC,
     CLIPPED_GYR,
@@ -96,10 +102,10 @@ def test_a_hemiparetic_walk_has_its_section(walked):
     assert [int(count) for count in level] == [sum(s.foot == foot for s in walked.strides) for foot in walk.terrain]
     given = hemiparetic_walk(walked, paretic="right")
     section = hemiparetic_section(given)
-    assert section.heading.startswith("Paretic side: right, as given")
-    assert not section.sure
+    assert section["heading"].startswith("Paretic side: right, as given")
+    assert not section["sure"]
     sure = replace(given, side=replace(given.side, score=0.9, agreeing=4, votes=dict.fromkeys(given.side.votes, -0.9)))
-    assert hemiparetic_section(sure).sure
+    assert hemiparetic_section(sure)["sure"]
     assert 'id="hemiparetic"' not in render_report(record, gait=walk.parameters)
 
 

@@ -13,19 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import report_records as make
-from jinja2 import DictLoader, Environment
 from replays import SETTINGS, TRIALS, Replays, both_feet, bursts, cut, replay, trial
 from rich.console import Console
 from shank_walks import shank_walk
 from test_one_process import run
 
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of
-from fes.cli.show import latched
+from fes.cli.common import latched
 from fes.recording import Recording, write_recording
 from fes.recording.arrays import recording_from_arrays
 from fes.recording.chunks import Chunk, cut_into_chunks
 from fes.report.findings import findings, front_page
-from fes.report.html import TemplateCache
 from fes.report.page import render_report
 from fes.report.summary import SessionSummary, summarise
 from fes.report.tables import stride_table, summary_block
@@ -342,12 +340,6 @@ def test_no_number_is_cut_in_80_columns_nor_a_long_session_in_100(count, number,
     assert not any("…" in line for line in lines)
 
 
-def test_limit_shows_the_last_strides_and_says_so():
-    lines = shown(stride_table(summarise(make.walk(10)), limit=4))
-    assert sum(line.startswith(("L ", "R ")) for line in lines) == 4
-    assert "The last 4 of 20 strides" in lines[0]
-
-
 def test_reasons_are_told_below_the_table_and_are_not_markup():
     record = make.walk(4)
     record.strides[2] = replace(record.strides[2], valid=False, reason="[red]turned[/red] by 50°")
@@ -377,53 +369,3 @@ def test_an_empty_session_still_has_a_summary():
     text = "\n".join(shown(summary_block(summarise(SessionRecord({})))))
     assert "no proper end" in text
     assert "No stride was found" in text
-
-
-# --- Compiled templates are kept, made anew when a template changes ---
-
-
-def rendered(text: str) -> str:
-    environment = Environment(loader=DictLoader({"page": text}), autoescape=True, bytecode_cache=TemplateCache())
-    return environment.get_template("page").render(name="Ann")
-
-
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return tmp_path / "fes-gait" / "templates"
-
-
-def test_what_is_compiled_is_kept_until_the_template_changes(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert rendered("Hello {{ name }}") == "Hello Ann"
-    assert len(list(cache.iterdir())) == 1
-    with monkeypatch.context() as without_compiler:
-        without_compiler.setattr(Environment, "compile", None)
-        assert rendered("Hello {{ name }}") == "Hello Ann"
-        with pytest.raises(TypeError):
-            rendered("Good bye {{ name }}")
-    assert rendered("Good bye {{ name }}") == "Good bye Ann"
-
-
-def test_what_is_damaged_is_compiled_anew(cache: Path) -> None:
-    rendered("Hello {{ name }}")
-    for kept in cache.iterdir():
-        kept.write_bytes(b"rubbish")
-    assert rendered("Hello {{ name }}") == "Hello Ann"
-
-
-@pytest.mark.parametrize("in_the_way", ["fes-gait", "fes-gait/templates"])
-def test_where_nothing_can_be_kept_it_works_without(cache: Path, tmp_path: Path, in_the_way: str) -> None:
-    place = tmp_path / in_the_way
-    place.parent.mkdir(exist_ok=True)
-    place.write_text("a file where a folder should be", encoding="utf-8")
-    assert rendered("Hello {{ name }}") == "Hello Ann"
-    assert place.is_file()
-
-
-def test_a_user_without_a_home_gets_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nowhere() -> Path:
-        raise RuntimeError("no home")
-
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", nowhere)
-    assert rendered("Hello {{ name }}") == "Hello Ann"

@@ -28,7 +28,6 @@ from fes.cli.common import (
     Problem,
     StoppedEarly,
     choice,
-    fail,
     failing,
     fresh_folder,
     given_options,
@@ -36,13 +35,14 @@ from fes.cli.common import (
     need_extra,
     out_option,
     replay_progress,
+    show,
+    show_latched,
     utc_now,
 )
 from fes.cli.replay import stimulators
 from fes.cli.replay.stimulators import LoggedSink, SerialSink, polled_every_ns, repeats_bytes
 from fes.cli.run import command as run
 from fes.cli.run.devices import dashboard_options, open_dashboard
-from fes.cli.show import show, show_latched
 from fes.config import ConfigError, Session, load_session
 from fes.control.clock_sync import SensorClock
 from fes.control.controller import CURRENT_STEP_MA, Controller
@@ -151,7 +151,7 @@ class Reopened:
 
     def __init__(self, path: Path) -> None:
         self.record, self.now = read_session(path), ReplayOutput()
-        self.session, controller, gate, session_id = _decides(self.record, path)
+        self.session, _, controller, gate, session_id = _decides(self.record, path)
         sink: LoggedSink | SerialSink
         compares_bytes = True
         if repeats_bytes(self.session, self.record.header):
@@ -171,8 +171,8 @@ class Reopened:
         self.runner = Runner(controller, gate, sink, self.now, lambda: 0)
 
 
-def _decides(record: SessionRecord, path: Path) -> tuple[Session, Controller, SafetyGate, int]:
-    """Settings, controller, gate and the stimulator's session of a log."""
+def _decides(record: SessionRecord, path: Path) -> tuple[Session, dict[str, Calibration], Controller, SafetyGate, int]:
+    """Settings, calibrations, controller, gate and the stimulator's session of a log."""
     try:
         session, calibrations, session_id = settings_of(record.header, path)
         step_ma = record.header.get("current_step_ma", CURRENT_STEP_MA)
@@ -187,7 +187,7 @@ def _decides(record: SessionRecord, path: Path) -> tuple[Session, Controller, Sa
             f"{path}: was left by fes {version} and cannot be replayed by fes {__version__}: its header does not fit "
             f"({error}). `fes report` still shows it; replay its recording instead."
         ) from error
-    return session, controller, gate, session_id
+    return session, calibrations, controller, gate, session_id
 
 
 def _other_protocol(record: SessionRecord) -> str:
@@ -261,15 +261,9 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
         Problem: the log cannot be read, or no dashboard can be served.
         SystemExit: stopped on the dashboard, or interrupted.
     """
-    try:
+    with failing(SessionLogError, ConfigError):
         record = read_session(path)
-        session, calibrations, session_id = settings_of(record.header, path)
-    except (SessionLogError, ConfigError) as error:
-        fail(error)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        fail(SessionLogError(f"{path}: its header is not one of this version: {error}"))
-    step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))
-    controller, gate = controller_and_gate(session, calibrations, step_ma)
+        session, calibrations, controller, gate, session_id = _decides(record, path)
     warm_up()
     shown = ReplayDashboard(folder, session, calibrations, record.header, ReplayOutput(), controller, gate, port)
     sink = LoggedSink(session_id, [])

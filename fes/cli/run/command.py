@@ -20,7 +20,6 @@ from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import SensorCalibrations, load, refuse_others
-from fes.cli.calibrate import describe, save_calibrations
 from fes.cli.common import (
     LOG_SUFFIX,
     OK,
@@ -35,6 +34,7 @@ from fes.cli.common import (
     interrupted,
     utc_now,
 )
+from fes.cli.recordings import describe, save_calibrations
 from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_exercise, load_session, refuse_blind_targets
 from fes.estimation.foot.calibration import CalibrationError

@@ -13,7 +13,7 @@ from fes.cohort.store import Measure, Store, columns_of
 from fes.cohort.sweep.grid import Axis, times_of
 from fes.cohort.task import DONE
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.html import rendered, trusted
+from fes.report.html import rendered
 from fes.signals import FloatArray
 
 RESULTS: Final = "results"
@@ -199,7 +199,7 @@ def sweep_page(
         failed=failed[:SHOWN],
         failures=len(failed),
         cases=cases,
-        figures=trusted([*_trade_off(found, measures), *_by_setting(axes, found, measures)]),
+        figures=[*_trade_off(found, measures), *_by_setting(axes, found, measures)],
         judged=[measure.title for measure in measures if measure.best],
     )
 

@@ -33,7 +33,7 @@ from fes.report.comparison.session import (
 from fes.report.figures.strides import PHASE_COLORS, foot_color
 from fes.report.figures.svg import Figure, Plot, nice_ticks, padded
 from fes.report.gait import POINTS, by_distance, spread_of
-from fes.report.html import rendered, trusted
+from fes.report.html import rendered
 from fes.report.parameter_table import GLOSSARY
 from fes.report.text import capitalised, number, plain, readable
 from fes.signals import FloatArray, StrideResult
@@ -145,7 +145,9 @@ def phase_figure(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRo
         f'<svg class="plot" viewBox="0 0 {WIDTH} {floor + 40}" role="img" aria-label="Mean phase durations">'
         f'<path class="axis" d="M{LEFT} {floor}H{WIDTH - 14}"/>{"".join(parts)}</svg>'
     )
-    return Figure("Phases", svg, "Mean durations in s, from heel rise: pre-swing, swing, loading response, stance.")
+    return Figure(
+        "Phases", Markup(svg), "Mean durations in s, from heel rise: pre-swing, swing, loading response, stance."
+    )
 
 
 def sketch(change: Interval, reach: float, color: str) -> str:
@@ -230,8 +232,8 @@ def render_comparison(comparison: SessionComparison) -> str:
         symmetry=[_symmetry(row) for row in comparison.symmetry],
         detectable=bool(sources),
         sources=sorted(sources),
-        figures=trusted(curve_figures(sessions)),
-        phase_figures=trusted([phases] if phases else []),
+        figures=curve_figures(sessions),
+        phase_figures=[phases] if phases else [],
         looks=[{"line": Markup(LINE_SAMPLE.format(*look))} for look in zip(COLORS, DASHES, strict=True)],
         stimulation=describe_stimulation,
         phase_colors=PHASE_COLORS,

@@ -1,11 +1,8 @@
-"""One session of a comparison: what was measured of each side, stride by stride, and what the session itself says.
+"""One session of a comparison: what was measured of each side, stride by stride; and what all of them say in numbers.
 
 Logs and recordings are analysed in the same way, off-line and with the same settings, so that a difference is none of
-method. Stimulation, charge and faults are a log's own.
-
-Then what the comparison says in numbers: each parameter of each side, the phases, the symmetry of the sides. How much a
-parameter must change before day-to-day error cannot explain it stands beside it where that was found in print, with
-its people and its setting.
+method. How much a parameter must change before day-to-day error cannot explain it stands beside it where that was found
+in print, with its people and its setting.
 """
 
 import math
@@ -16,20 +13,17 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from fes.analysis.parameters.contacts import no_swings
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS, Definition
-from fes.analysis.parameters.gait import gait_parameters, motion_of, stride_parameters
-from fes.analysis.parameters.motion import pitches
-from fes.analysis.parameters.steps import steps_of
+from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
-from fes.analysis.tables import Table, by_column
+from fes.analysis.tables import Table
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
 from fes.evaluation.agreement import Interval, Mean, combined, difference, mean_of, symmetry_index
 from fes.recording import Recording, RecordingError, Track, read_recording
 from fes.report.findings import findings
-from fes.report.gait import swings_by_phases
+from fes.report.gait import gait_of_strides
 from fes.report.parameter_table import GLOSSARY
 from fes.report.stimulation import session_settings
 from fes.report.strides import StrideRow
@@ -183,7 +177,7 @@ def _made(
         rows, strides = summarise(analysis.walk_record()).strides, analysis.strides
         toe = {_side(foot): known.describe() for foot, known in analysis.points.items()}
         detailed = {_side(foot): _steady(found) for foot, found in gait_parameters(analysis).strides.items()}
-        phased = {_side(foot): _steady(found) for foot, found in by_phases(analysis).items()}
+        phased = {_side(foot): _steady(found) for foot, found in gait_of_strides(strides).strides.items()}
     sides = {}
     for foot in dict.fromkeys(stride.foot for stride in strides):
         mine = [row for row in rows if row.foot == foot]
@@ -203,20 +197,6 @@ def _made(
     )
     rates_hz = {sensor.sensor: sensor.rate_hz for sensor in own.sensors}
     return ComparedSession(label, str(path), how, summary, sides, share, toe, rates_hz)
-
-
-def by_phases(analysis: Analysis) -> dict[str, Table]:
-    """By foot, the parameters with the times of the phases: foot off is T2, contact T3. Step lengths are left out."""
-    feet = {foot: [s for s in analysis.strides if s.foot == foot and s.valid] for foot in analysis.blocks}
-    swings = {foot: swings_by_phases(own) for foot, own in feet.items()}
-    found = {}
-    for foot, own in feet.items():
-        other = next((swings[name] for name in feet if name != foot), no_swings(0))
-        paths = analysis.blocks[foot].paths()
-        columns = by_column(own)
-        motion = motion_of(columns, paths.chosen(paths.places(columns["number"])), pitches(paths), swings[foot])
-        found[foot] = stride_parameters(columns, motion, swings[foot], steps_of(columns, swings[foot], other))
-    return found
 
 
 def _steady(found: Table) -> dict[str, FloatArray]:

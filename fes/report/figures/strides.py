@@ -1,15 +1,8 @@
-"""Figures of strides: every stride by itself, means over the stride, and the swing paths as a butterfly.
+"""Figures of strides: each by itself, means over the stride, the swing paths, the way over the ground, and space.
 
-Clinics call *butterfly* the path of the centre of pressure on an instrumented treadmill: it crosses from foot to foot
-in double support, and its two wings are the two steps. No force is measured here. These wings are the paths of the two
-foot sensors from stance to stance, left foot to the left, right foot to the right, laid against each other so that the
-sides can be compared at a glance. Where the feet stand to each other is not known and not shown.
-
-Where the feet went over the ground, from above and how high; and strides of both feet in three dimensions.
-
-The latter are drawn as Figure 5 of Wang et al. (2013), mean and mean ± SD, in the axes of the paper's visualization
-frame: x to the right, y along the walk, z up. It is drawn here as it stands at first, which is also what is printed;
-the report's script turns the same lines.
+The butterfly's wings are the paths of the two foot sensors from stance to stance, laid against each other; clinics call
+so the path of the centre of pressure, but no force is measured here. Strides in three dimensions are drawn as Figure 5
+of Wang et al. (2013), mean and mean ± SD, in its visualization frame: x to the right, y along the walk, z up.
 """
 
 import math
@@ -20,6 +13,7 @@ from itertools import islice
 from typing import Any, Final
 
 import numpy as np
+from markupsafe import Markup
 
 from fes.analysis.ground_path import GroundPath
 from fes.config import Band
@@ -438,7 +432,7 @@ class SpaceFigure:
             f"Height and width are drawn {self._larger:.0f} times larger than length; how far apart the feet are is "
             "not known."
         )
-        self.figure = Figure(title, self._svg(title), caption)
+        self.figure = Figure(title, Markup(self._svg(title)), caption)
 
     def to_data(self) -> dict[str, Any]:
         """For the script: places in drawn units, rounded."""

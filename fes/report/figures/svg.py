@@ -7,6 +7,7 @@ from html import escape
 from typing import TypeVar
 
 import numpy as np
+from markupsafe import Markup
 
 from fes.signals import FloatArray
 
@@ -43,10 +44,10 @@ def padded(values: Iterable[FloatArray], *, zero: bool = False, share: float = 0
 
 @dataclass(frozen=True)
 class Figure:
-    """A plot with the text that belongs below it; ``svg`` is safe markup."""
+    """A plot, whose own texts are escaped where it is drawn, with the text that belongs below it."""
 
     title: str
-    svg: str
+    svg: Markup
     caption: str
 
 
@@ -152,7 +153,7 @@ class Plot:
 
     def figure(self, title: str, caption: str) -> Figure:
         """The plot with what belongs to it."""
-        return Figure(title, self.render(), caption)
+        return Figure(title, Markup(self.render()), caption)
 
     def render(self) -> str:
         """The whole plot; its label is read out by screen readers."""

@@ -1,20 +1,20 @@
 """Signals for the zoomable plots: even grids, least and greatest value per bin, packed into 16-bit numbers."""
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from fes.config import Band, Channel
+from fes.config import Channel
 from fes.report.figures.strides import FAINT_STRIDES, PHASE_COLORS, foot_color
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.quality import SensorFlags, sample_times
-from fes.report.stimulation import ChannelInfo, PhaseTimeline, TuningRow
+from fes.report.stimulation import ChannelInfo, PhaseTimeline
 from fes.report.strides import StrideStimulation
 from fes.report.summary import ReportData
 from fes.report.text import readable
-from fes.signals import NS_PER_S, BoolArray, FloatArray, StrideResult
+from fes.signals import NS_PER_S, BoolArray, FloatArray
 from fes.stimulation.contact import pitch_at_contact_rad, roll_at_contact_rad
 from fes.walk_record import SampleArrays
 from statemachine.phases import Phase
@@ -132,85 +132,59 @@ def tuning_figures(data: ReportData) -> list[Figure]:
 
 
 def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[Figure]:
-    rows = [row for row in data.summary.strides if row.foot == sensor]
-    if not rows or channel.tuning is None or channel.tuning.mode == "off":
+    rows, tuning = [row for row in data.summary.strides if row.foot == sensor], channel.tuning
+    if not rows or tuning is None or tuning.mode == "off":
         return []
-    start_s = np.array([row.start_s for row in rows])
-    x_range = padded([start_s], share=0.03)
     said = [row for row in data.summary.tuning if row.channel == channel.number]
     changes, faults = [row for row in said if row.changes], [row for row in said if row.kind == "fault"]
-    figures = []
-    band = channel.tuning.toe_clearance_m
-    toe_cm = np.array([row.toe_clearance_cm for row in rows])
-    if band is not None and np.isfinite(toe_cm).any():
-        edges = 100.0 * np.array([band.low, band.high])
-        plot = Plot("toe clearance per stride", "time (s)", "toe clearance (cm)", x_range, padded([toe_cm, edges]))
-        whole = np.array(x_range)
-        plot.band(whole, np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
-        titles = [f"stride {row.number}: {row.toe_clearance_cm:.1f} cm" for row in rows]
-        plot.points(start_s, toe_cm, channel_color(channel.number), titles)
+    told = f" Upright: {'; '.join(f'{row.time_s:.0f} s, {row.text}' for row in faults)}." if faults else ""
+    color, figures = channel_color(channel.number), list[Figure]()
+
+    def add(plot: Plot, title: str, caption: str) -> None:
         for row in faults:
             plot.upright(row.time_s, CHANGE_COLOR, "fault")
-        caption = f"As measured in each stride; the band is the tuning's target.{_faults(faults)}"
-        figures.append(plot.figure(f"Toe clearance and target, {channel.name}", caption))
-    pitch, roll = channel.tuning.pitch_at_contact_deg, channel.tuning.eversion_at_contact_deg
-    measures = (
-        ("Foot pitch", "pitch, toe up", pitch, pitch_at_contact_rad),
-        ("Eversion", "eversion", roll, _eversion_rad),
-    )
-    for name, axis, target, at_contact in measures:
-        figures += _at_contact(data, channel, sensor, faults, name, axis, target, at_contact)
-    learns = channel.tuning.method == "learning"  # it moves the pulses' widths: their charge shows what it set
+        figures.append(plot.figure(f"{title}, {channel.name}", caption + told))
+
+    valid = [stride for stride in data.record.strides if stride.foot == sensor and stride.valid]
+    contacts = [(stride.number, (stride.t_start_ns - data.origin_ns) / NS_PER_S) for stride in valid]
+    toe = [(row.number, row.start_s, row.toe_clearance_cm) for row in rows]
+    pitch = [(*at, np.degrees(pitch_at_contact_rad(one))) for at, one in zip(contacts, valid, strict=True)]
+    eversion = [(*at, -np.degrees(roll_at_contact_rad(one))) for at, one in zip(contacts, valid, strict=True)]
+    of_stride, of_contact = ("in each stride", 100.0, 1, " cm"), ("at each initial contact", 1.0, 0, "°")
+    for name, axis, band, (when, scale, digits, unit), measured in (
+        ("Toe clearance", "toe clearance (cm)", tuning.toe_clearance_m, of_stride, toe),
+        ("Foot pitch at contact", "pitch, toe up (°)", tuning.pitch_at_contact_deg, of_contact, pitch),
+        ("Eversion at contact", "eversion (°)", tuning.eversion_at_contact_deg, of_contact, eversion),
+    ):
+        numbers, at_s, values = np.array(measured, dtype=np.float64).reshape(-1, 3).T
+        if band is None or not np.isfinite(values).any():
+            continue
+        x_range, edges = padded([at_s], share=0.03), scale * np.array([band.low, band.high])
+        plot = Plot(f"{name} per stride", "time (s)", axis, x_range, padded([values, edges]))
+        plot.band(np.array(x_range), np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
+        titles = [
+            f"stride {number:.0f}: {value:.{digits}f}{unit}" for number, value in zip(numbers, values, strict=True)
+        ]
+        plot.points(at_s, values, color, titles)
+        add(plot, f"{name} and target", f"As measured {when}; the band is the tuning's target.")
     own = [[item for item in row.stimulation if item.channel == channel.number] for row in rows]
-    if learns:
-        given, what, unit = [sum(item.charge_uc for item in each) if each else np.nan for each in own], "charge", "µC"
+    if tuning.method == "learning":  # it moves the pulses' widths: their charge shows what it set
+        given = [sum(i.charge_uc for i in each) if each else np.nan for each in own]
+        shown, what, unit = "Charge", "charge", "µC"
     else:
-        given = [max((item.peak_current_ma for item in each), default=np.nan) for each in own]
-        what, unit = "peak current", "mA"
-    level = np.array(given)
-    if np.isfinite(level).any():
+        given = [max((i.peak_current_ma for i in each), default=np.nan) for each in own]
+        shown, what, unit = "Greatest current", "peak current", "mA"
+    start_s, level = np.array([row.start_s for row in rows]), np.array(given)
+    if (known := np.isfinite(level)).any():
+        x_range = padded([start_s], share=0.03)
         plot = Plot(f"{what} per stride", "time (s)", f"{what} ({unit})", x_range, padded([level], zero=True))
-        plot.line(start_s, level, channel_color(channel.number), width=2.0)
+        plot.line(start_s, level, color, width=2.0)
         at_s = np.array([row.time_s for row in changes])
-        marked = np.interp(at_s, start_s[np.isfinite(level)], level[np.isfinite(level)])
+        marked = np.interp(at_s, start_s[known], level[known])
         plot.points(at_s, marked, CHANGE_COLOR, [row.text for row in changes])
-        for row in faults:
-            plot.upright(row.time_s, CHANGE_COLOR, "fault")
-        shown = "Charge" if learns else "Greatest current"
-        caption = f"{shown} of each stride; marked: {len(changes)} changes, with their reasons to hover over."
-        caption += _faults(faults)
-        figures.append(plot.figure(f"What the tuning set, {channel.name}", caption))
+        changed = f"marked: {len(changes)} changes, with their reasons to hover over."
+        add(plot, "What the tuning set", f"{shown} of each stride; {changed}")
     return figures
-
-
-def _eversion_rad(stride: StrideResult) -> float:
-    return -roll_at_contact_rad(stride)
-
-
-def _at_contact(
-    data: ReportData, channel: Channel, sensor: str, faults: Sequence[TuningRow], name: str, axis: str,
-    band: Band | None, angle_rad: Callable[[StrideResult], float],
-) -> list[Figure]:  # fmt: skip
-    """An angle of the foot at initial contact per stride, with its target; none without one."""
-    strides = [stride for stride in data.record.strides if stride.foot == sensor and stride.valid]
-    angle_deg = np.degrees([angle_rad(stride) for stride in strides])
-    if band is None or not np.isfinite(angle_deg).any():
-        return []
-    start_s = np.array([(stride.t_start_ns - data.origin_ns) / NS_PER_S for stride in strides])
-    x_range, edges = padded([start_s], share=0.03), np.array([band.low, band.high])
-    plot = Plot(f"{name} at contact per stride", "time (s)", f"{axis} (°)", x_range, padded([angle_deg, edges]))
-    plot.band(np.array(x_range), np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
-    titles = [f"stride {one.number}: {deg:.0f}°" for one, deg in zip(strides, angle_deg, strict=True)]
-    plot.points(start_s, angle_deg, channel_color(channel.number), titles)
-    for row in faults:
-        plot.upright(row.time_s, CHANGE_COLOR, "fault")
-    caption = f"As measured at each initial contact; the band is the tuning's target.{_faults(faults)}"
-    return [plot.figure(f"{name} at contact and target, {channel.name}", caption)]
-
-
-def _faults(faults: Sequence[TuningRow]) -> str:
-    """What upright lines stand for; "" where there are none."""
-    return f" Upright: {'; '.join(f'{row.time_s:.0f} s, {row.text}' for row in faults)}." if faults else ""
 
 
 DETAIL = ((600.0, 200), (1800.0, 100), (float("inf"), 80))  # sessions up to so long (s) keep so many points a second
