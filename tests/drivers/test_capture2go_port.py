@@ -22,7 +22,7 @@ from drivers.simulated.imu.serial_wires import Air, Capture2GoWire, package
 from drivers.simulated.lines import LineFaults
 from fes.config.session import ImuDevice
 from fes.control.clock_sync import SensorClock
-from fes.live.sensors import SensorStream
+from fes.live.source import SensorStream
 from fes.signals import NS_PER_S, RawSample, SystemFault
 
 MS = 1_000_000

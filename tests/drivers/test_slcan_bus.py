@@ -17,7 +17,7 @@ from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_port import CanStimulator
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus
-from fes.live.stimulator import LiveStimulator
+from fes.live.source import LiveStimulator
 from fes.signals import StimCommand, SystemFault
 
 MS = 1_000_000

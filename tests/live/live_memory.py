@@ -26,9 +26,8 @@ from fes.config import load_session
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.estimation.warm_up import warm_up
 from fes.live.processes import frozen_garbage
-from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession, live_header
-from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.source import EMPTY_READS, LiveStimulator, Opened, SensorStream
 from fes.session_log.writer import RecordBuffer
 from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 

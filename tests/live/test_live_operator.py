@@ -43,13 +43,10 @@ from fes.live.dashboard.server import MessageHandler
 from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
-from fes.live.monitor import Monitor, ShownLog
-from fes.live.notices import Notices, tuning_status
+from fes.live.monitor import Electrodes, Monitor, Notices, ShownLog, SwitchComparison, tuning_status
 from fes.live.operator import Operator, unchecked_side
 from fes.live.sensor_monitor import SensorMonitor
-from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status, percent_of, remedy
-from fes.live.stimulator import Electrodes
 from fes.live.terminal_view import picture
 from fes.session_log import Note, read_session
 from fes.signals import (

@@ -27,14 +27,13 @@ from fes.cli.common import UNUSABLE
 from fes.cli.run.command import command
 from fes.cli.run.devices import stop_switch_settings
 from fes.config import ConfigError, ImuDevice, load_session
-from fes.live.calibrating import Calibrating
 from fes.live.commands import CURRENT_ALLOWED, TABLE, Cause, OperatorCommand, SessionMachine, State
 from fes.live.commands import CommandKind as Kind
 from fes.live.inputs import Keyboard, StopFile
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import ASKED
-from fes.live.session import LiveSession
-from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.session import Calibrating, LiveSession
+from fes.live.source import LiveStimulator, Opened
 from fes.session_log import read_session
 from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, SystemFault, Vector3
 

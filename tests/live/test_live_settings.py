@@ -24,14 +24,14 @@ from fes.config import ConfigError, Session, StimulatorDevice, load_exercise, lo
 from fes.config.session import Live
 from fes.control.controller import Controller
 from fes.gate import gate_of
-from fes.live.calibrating import ExerciseClock
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand, State
 from fes.live.log_pipe import PipedLog
+from fes.live.monitor import Electrodes
 from fes.live.operator import Operator
-from fes.live.session import LiveSession, live_header
+from fes.live.session import ExerciseClock, LiveSession, live_header
+from fes.live.source import LiveStimulator
 from fes.live.status import Status
-from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.live.terminal_view import picture
 from fes.report.findings import findings
 from fes.report.page import render_report

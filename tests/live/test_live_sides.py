@@ -18,11 +18,9 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.live.commands import CommandKind, OperatorCommand, State
-from fes.live.sensors import EMPTY_READS, SensorStream
+from fes.live.sensor_monitor import EXCHANGED, SideCheck
 from fes.live.session import LiveSession
-from fes.live.sides import EXCHANGED, SideCheck
-from fes.live.source import LiveSource
-from fes.live.stimulator import LiveStimulator
+from fes.live.source import EMPTY_READS, LiveSource, LiveStimulator, SensorStream
 from fes.recording import Recording, Track, read_recording
 from fes.recording.tracks import samples_of
 from fes.signals import (

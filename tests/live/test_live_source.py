@@ -14,9 +14,8 @@ from fes.control.clock_sync import SensorClock
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand
 from fes.live.inputs import Keyboard, StopFile
-from fes.live.sensors import Input, SensorStream
-from fes.live.source import LiveSource
-from fes.live.stimulator import UNSENT, LiveStimulator, Opened
+from fes.live.source import Input, LiveSource, LiveStimulator, Opened, SensorStream
+from fes.live.supervision import UNSENT
 from fes.signals import (
     Event,
     ImuSample,

@@ -14,10 +14,9 @@ from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock
 from test_live_operator import CALIBRATION, FOOT, settings
 
 from fes.live.commands import State
-from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession
+from fes.live.source import EMPTY_READS, LiveStimulator, Opened, SensorStream
 from fes.live.status import remedy
-from fes.live.stimulator import LiveStimulator, Opened
 from fes.session_log import SessionRecord, SessionWriter, read_session
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimAlive, StimStatus
 

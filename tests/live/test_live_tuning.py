@@ -23,7 +23,7 @@ from fes.gate import gate_of
 from fes.live.commands import NEEDS_CONFIRMATION, OperatorCommand, commands_of_keys
 from fes.live.commands import CommandKind as Kind
 from fes.live.inputs import WitnessInput
-from fes.live.notices import tuning_status
+from fes.live.monitor import tuning_status
 from fes.live.operator import AGAIN_NS, Operator, Refusal, TuningCommands
 from fes.live.processes import HelperProcess
 from fes.live.status import Status, TuningStatus
@@ -287,7 +287,7 @@ def test_the_process_says_what_lies_and_ends_with_the_session(tmp_path: Path) ->
     log_of(walked(40.0), tmp_path / "session.feslog")
     # all of the log is there at its first look: it hears once where a session hears after each stride
     arguments = "fes.live.witness_process", str(tmp_path / "session.feslog")
-    with HelperProcess(*arguments, kind=socket.SOCK_SEQPACKET) as helper:
+    with HelperProcess(*arguments) as helper:
         helper.link.settimeout(120.0)
         said = json.loads(helper.link.recv(4096))
         assert said["sensor"] == FOOT
