@@ -6,6 +6,7 @@ import socket
 import struct
 from dataclasses import dataclass, field
 
+from fes.live.supervision import SessionOpened
 from fes.signals import StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 
 MS = 1_000_000
@@ -113,6 +114,12 @@ class FakeStimulator:
             raise Lost(self.broken)
         answers, self.answers = self.answers, []
         return answers
+
+    def open(self, t_ns: int) -> SessionOpened:
+        """Again, once it is no longer broken."""
+        if self.broken:
+            raise Lost(self.broken)
+        return SessionOpened(4711, 0.5, (WireFrame(t_ns, 0x100, b"hello"),), ())
 
     def close(self) -> None:
         self.closed = True

@@ -415,20 +415,12 @@ class Monitor(ShownLog):
 
     # --- the status --------------------------------------------------------------------------------------
 
-    def publish(
-        self,
-        t_ns: int,
-        operator: Operator,
-        controller: Controller,
-        gate: SafetyGate,
-        stimulator: str = "",
-        *,
-        at_once: bool = False,
-    ) -> None:
+    def publish(self, t_ns: int, operator: Operator, stimulator: str, *, at_once: bool = False) -> None:
         """Send the status if 100 ms have passed, or at once; a listener that does not keep up misses frames."""
         if t_ns < self._next_ns and not at_once:
             return
         self._next_ns = t_ns + FRAME_NS
+        controller = operator.controller
         feet = {
             sensor: self.foot_status(sensor, controller, monitor.rate_hz(t_ns), min(monitor.age_ms(t_ns), 1e6))
             for sensor, monitor in self.sensors.items()

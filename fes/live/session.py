@@ -183,9 +183,7 @@ class LiveSession:
             # everything is off by now; whoever watches is told before the log is closed, which may take long
             self.operator.give_up(self._clock_ns(), str(error))
             with suppress(SessionLogError):
-                self.monitor.publish(
-                    self._clock_ns(), self.operator, self.controller, self.gate, self.stimulator.state, at_once=True
-                )
+                self.monitor.publish(self._clock_ns(), self.operator, self.stimulator.state, at_once=True)
             raise
         finally:
             if self._control is not None:
@@ -224,7 +222,7 @@ class LiveSession:
             text = self._log.warning or f"{self._log.path}: the disk keeps up again"
             self.monitor.note(Note(event.t_ns, "warning" if self._log.warning else "info", "log", text))
             self.operator.message = text
-        self.monitor.publish(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
+        self.monitor.publish(now_ns, self.operator, self.stimulator.state)
         if self.operator.state is not self._state:
             self._state = self.operator.state
             if self._state not in CURRENT_ALLOWED:  # collection never starts by itself; here no decision waits

@@ -13,12 +13,12 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Final, Generic, Protocol, TypeVar
 
 from fes import limits
 from fes.control.clock_sync import BoundedClock, SensorClock
 from fes.control.runner import TICK_NS
-from fes.live.supervision import UNSENT, StimulatorLine
+from fes.live.supervision import UNSENT, SessionOpened, StimulatorLine
 from fes.signals import (
     Event,
     ImuSample,
@@ -246,29 +246,26 @@ class SensorStream:
         return self._held
 
 
-class Opened(NamedTuple):
-    """A line that was opened again, its new session identifier, and what its handshake put on the wire."""
+class ReopenedLine(StimulatorLine, Protocol):
+    """One that can be opened again; see :class:`fes.live.supervision.SupervisedLine`."""
 
-    line: StimulatorLine
-    session_id: int
-    frames: Sequence[WireFrame] = ()
+    def open(self, t_ns: int) -> SessionOpened:
+        """Once it was closed; may wait, so it is called in a thread of its own."""
 
 
 class LiveStimulator:
     """Wraps an open line; what it meets becomes events for the loop, stamped by ``clock_ns``, see :meth:`events`.
 
-    ``reopen`` opens it again; ``lost`` is the exception that says that it is gone. ``on_heard`` and ``on_frame`` get
-    what belongs in the log beside commands and events.
+    ``lost`` is the exception that says that it is gone; it is opened again then. ``is_open``: whether commands go out.
+    ``on_heard`` and ``on_frame`` get what belongs in the log beside commands and events.
     """
 
-    def __init__(
-        self, line: StimulatorLine, reopen: Callable[[], Opened], lost: type[Exception], clock_ns: Callable[[], int]
-    ) -> None:
-        self._line: StimulatorLine | None = line
-        self._reopen = reopen
+    def __init__(self, line: ReopenedLine, lost: type[Exception], clock_ns: Callable[[], int]) -> None:
+        self.is_open = True
+        self._line = line
         self._lost = lost
         self._clock_ns = clock_ns
-        self._attempts: Reopening[Opened] | None = None
+        self._attempts: Reopening[SessionOpened] | None = None
         self._events: list[Event] = []
         self.unsent = 0
         self.on_heard: Callable[[int, bytes], None] = lambda t_ns, data: None
@@ -281,18 +278,13 @@ class LiveStimulator:
             return "open"
         return f"lost, is being opened again ({self._attempts.why_not})" if self._attempts.why_not else "lost"
 
-    @property
-    def is_open(self) -> bool:
-        """Whether commands go out."""
-        return self._line is not None
-
     def send(self, command: StimCommand) -> WireFrame:
         """Write the command; a frame with identifier 0 where nothing went out.
 
         A process that was held up between deciding and sending must not send what was right a second ago: *on* older
         than the data it may rest on is left out and is a fault. Off always goes.
         """
-        if self._line is not None:
+        if self.is_open:
             late_ns = self._clock_ns() - command.t_ns
             if command.on and late_ns > limits.MAX_DATA_AGE_MS * 1_000_000:
                 self._events.append(SystemFault(command.t_ns, f"a command was {late_ns / 1e6:.0f} ms late, not sent"))
@@ -309,7 +301,7 @@ class LiveStimulator:
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """What has arrived; nothing from a line that is lost."""
-        if self._line is None:
+        if not self.is_open:
             return []
         try:
             answers = self._line.poll(t_ns)
@@ -324,7 +316,7 @@ class LiveStimulator:
         """Losses and reopenings since the last call."""
         if self._attempts is not None and (opened := self._attempts.poll(t_ns)) is not None:
             self._attempts = None
-            self._line = opened.line
+            self.is_open = True
             for frame in opened.frames:
                 self.on_frame(frame)
             self._events.append(StimOpened(t_ns, opened.session_id))
@@ -338,18 +330,18 @@ class LiveStimulator:
 
     def renew(self, t_ns: int) -> None:
         """Open the device again, under a new session identifier, though it was not lost."""
-        if self._line is not None:
+        if self.is_open:
             self._open_again(t_ns)
 
     def close(self) -> None:
         """Release the line."""
-        if self._line is not None:
+        if self.is_open:
             self._line.close()
-            self._line = None
+            self.is_open = False
 
     def _open_again(self, t_ns: int) -> None:
         self.close()
-        self._attempts = Reopening(self._reopen, t_ns)
+        self._attempts = Reopening(lambda: self._line.open(self._clock_ns()), t_ns)
 
     def _lose(self, t_ns: int, error: Exception) -> None:
         self._open_again(t_ns)

@@ -27,7 +27,7 @@ from fes.estimation.foot.calibration import calibrate_foot
 from fes.estimation.warm_up import warm_up
 from fes.live.processes import frozen_garbage
 from fes.live.session import LiveSession, live_header
-from fes.live.source import EMPTY_READS, LiveStimulator, Opened, SensorStream
+from fes.live.source import EMPTY_READS, LiveStimulator, SensorStream
 from fes.session_log.writer import RecordBuffer
 from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 
@@ -188,9 +188,7 @@ def measure(minutes: float) -> dict[str, float]:
     script |= {30 * at: b"p", 32 * at: b"p", 40 * at: b" "}
     script |= {second * at: b"a" for second in (*range(3, 15), *range(42, 59))}  # until the feet rest
     log = CountedLog(Path("session.feslog"), live_header(session, calibrations, 1, "", clock()))
-    live = LiveSession(
-        session, calibrations, log, LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock), clock
-    )
+    live = LiveSession(session, calibrations, log, LiveStimulator(stimulator, Lost, clock), clock)
     live.add_keys(reading)
     warm_up()
     frozen_garbage()

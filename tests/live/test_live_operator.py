@@ -881,12 +881,12 @@ def test_frames_that_a_page_missed_are_counted_to_the_end(tmp_path: Path) -> Non
         monitor.dashboard = DashboardStream(ours)
         for _ in range(2000):  # nobody reads
             bench.t_ns += 100 * MS
-            monitor.publish(bench.t_ns, bench.operator, bench.controller, bench.gate)
+            monitor.publish(bench.t_ns, bench.operator, "open")
         missed = monitor.dropped_dashboard_frames
         assert missed > 1000
         theirs.close()
         bench.t_ns += 100 * MS
-        monitor.publish(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        monitor.publish(bench.t_ns, bench.operator, "open")
         assert monitor.dashboard is None
         assert monitor.dropped_dashboard_frames == missed
     log.close({})

@@ -33,7 +33,7 @@ from fes.live.inputs import Keyboard, StopFile
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import ASKED
 from fes.live.session import Calibrating, LiveSession
-from fes.live.source import LiveStimulator, Opened
+from fes.live.source import LiveStimulator
 from fes.session_log import read_session
 from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, SystemFault, Vector3
 
@@ -549,14 +549,10 @@ def test_a_space_anywhere_is_a_stop_and_comes_first(before: bytes, after: bytes)
 # --- The keyboard, and with it the stop key, goes in mid-session ---
 
 
-def not_again() -> Opened:
-    raise Lost("not opened again here")
-
-
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[LiveSession]:
     log = PipedLog(tmp_path / "session.feslog", {})
-    stimulator = LiveStimulator(FakeStimulator(), not_again, Lost, time.monotonic_ns)
+    stimulator = LiveStimulator(FakeStimulator(), Lost, time.monotonic_ns)
     yield LiveSession(settings(), {FOOT: CALIBRATION}, log, stimulator, time.monotonic_ns)
     log.close({})
 

@@ -125,7 +125,7 @@ def test_a_burst_in_coarse_steps_that_begins_right_after_a_command_is_let_throug
     path, worn, calibrations = tmp_path / "session.feslog", settings(), {FOOT: CALIBRATION}
     log = PipedLog(path, live_header(worn, calibrations, 1, "", 0, 1.0))
     stimulator = FakeStimulator()
-    lasting = LiveStimulator(stimulator, lambda: pytest.fail("it was not lost"), Lost, lambda: 0)
+    lasting = LiveStimulator(stimulator, Lost, lambda: 0)
     live = LiveSession(worn, calibrations, log, lasting, lambda: 0, current_step_ma=1.0)
     events: list[Event] = [ImuSample(t_ms * MS, FOOT, t_ms * MS, STANDS, (0.001 * t_ms, 0.0, 0.0)) for t_ms in (20, 40)]
     events += [OperatorAct(40 * MS, OperatorAction.ARM), OperatorAct(40 * MS, OperatorAction.SET_INTENSITY, 1.0)]
@@ -145,7 +145,7 @@ def test_a_stimulator_whose_answers_do_not_come_in_time_is_not_armed(tmp_path: P
     """It reports that every 65 ms at the latest; between two reports its heartbeat may come, late as well."""
     worn, calibrations = settings(), {FOOT: CALIBRATION}
     log = PipedLog(tmp_path / "session.feslog", live_header(worn, calibrations, 1, "", 0, 1.0))
-    lasting = LiveStimulator(FakeStimulator(), lambda: pytest.fail("it was not lost"), Lost, lambda: 0)
+    lasting = LiveStimulator(FakeStimulator(), Lost, lambda: 0)
     live = LiveSession(worn, calibrations, log, lasting, lambda: 0)
     said = "the stimulator reports: no answer within 45 ms"
     assert said not in live.operator.checks()
@@ -279,7 +279,7 @@ def test_a_log_with_nonsense_for_identifier_or_calibration_is_refused(
 def test_thresholds_of_the_session_are_on_the_terminal_with_where_they_come_from(tmp_path: Path) -> None:
     changed = settings().model_copy(update={"thresholds": {"rest_share": 0.2, "origin": "fes sweep, 3 walks"}})
     log = PipedLog(tmp_path / "session.feslog", {})
-    stimulator = LiveStimulator(FakeStimulator(), lambda: (_ for _ in ()).throw(Lost("no")), Lost, lambda: 0)
+    stimulator = LiveStimulator(FakeStimulator(), Lost, lambda: 0)
     live = LiveSession(changed, {FOOT: CALIBRATION}, log, stimulator, lambda: 0)
     log.close({})
     (line,) = [notice for notice in live.notices.now(0) if "thresholds" in notice]
@@ -292,7 +292,7 @@ def test_thresholds_of_the_session_are_on_the_terminal_with_where_they_come_from
 
 def test_what_the_logs_disk_is_behind_with_is_shown_while_it_lasts_and_its_end_at_once(tmp_path: Path) -> None:
     log = PipedLog(tmp_path / "session.feslog", {})
-    stimulator = LiveStimulator(FakeStimulator(), lambda: (_ for _ in ()).throw(Lost("no")), Lost, lambda: 0)
+    stimulator = LiveStimulator(FakeStimulator(), Lost, lambda: 0)
     shown: list[Status] = []
     live = LiveSession(settings(), {FOOT: CALIBRATION}, log, stimulator, time.monotonic_ns)
     live.monitor._publish = lambda datagram: shown.append(Status.decode(datagram))

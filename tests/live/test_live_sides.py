@@ -174,7 +174,7 @@ def test_a_session_in_which_the_feet_are_exchanged_latches_and_cannot_be_armed(
         update={"sensors": tuple(one.sensors[0].model_copy(update={"sensor": foot}) for foot in FOOT_SENSORS)}
     )
     clock = SetClock(step_ns=1_000)
-    stimulator = LiveStimulator(Answering(), lambda: pytest.fail("it was not lost"), Lost, clock)
+    stimulator = LiveStimulator(Answering(), Lost, clock)
     log = Written(tmp_path / "session.feslog", {})
     walked = WalkedAgain(exchanged(recording.tracks) if is_exchanged else recording.tracks, clock)
     line = SensorStream(walked, SameClock, Lost, frozenset(FOOT_SENSORS))

@@ -15,7 +15,7 @@ from test_live_operator import CALIBRATION, FOOT, settings
 
 from fes.live.commands import State
 from fes.live.session import LiveSession
-from fes.live.source import EMPTY_READS, LiveStimulator, Opened, SensorStream
+from fes.live.source import EMPTY_READS, LiveStimulator, SensorStream
 from fes.live.status import remedy
 from fes.session_log import SessionRecord, SessionWriter, read_session
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimAlive, StimStatus
@@ -105,7 +105,7 @@ def run(
 ) -> tuple[SessionRecord, LiveSession]:
     """A second of a session that is armed at rest, then of what the test makes happen; its log, and itself."""
     log = Written(folder / "session.feslog", {})
-    wrapped = LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock)
+    wrapped = LiveStimulator(stimulator, Lost, clock)
     live = LiveSession(settings(), {FOOT: CALIBRATION}, log, wrapped, clock)
     begin_ns = clock.now_ns
     for command in (OperatorCommand(begin_ns + WARM_NS, OperatorAction.ARM), *commands):

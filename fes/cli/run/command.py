@@ -45,7 +45,7 @@ from fes.live.log_pipe import PipedLog
 from fes.live.operator import sides_said, unchecked_side
 from fes.live.processes import HelperProcess, become_real_time
 from fes.live.session import COMPLETE, Calibrating, ExerciseClock, LiveSession, live_header
-from fes.live.source import LiveSource, LiveStimulator, Opened, SensorStream
+from fes.live.source import LiveSource, LiveStimulator, SensorStream
 from fes.live.supervision import SupervisorProcess
 from fes.session_log import Note, SessionLogError
 from fes.session_log.framing import LogScan, RecordType
@@ -312,16 +312,12 @@ def run_live(
     viewed = sys.stdout.isatty() if options.view is None else options.view
     view = stack.enter_context(HelperProcess("fes.live.terminal_view")) if viewed else None
 
-    def open_again() -> Opened:
-        opened = line.open(time.monotonic_ns())
-        return Opened(line, opened.session_id, opened.frames)
-
     def observe(event: Event) -> None:  # in a fault campaign only
         line.observe(event)
         if faults is not None:
             faults.observe(event)
 
-    stimulator = LiveStimulator(line, open_again, StimulatorLost, time.monotonic_ns)
+    stimulator = LiveStimulator(line, StimulatorLost, time.monotonic_ns)
     stack.callback(stimulator.close)
     live = LiveSession(
         session,
