@@ -40,6 +40,16 @@ def log(tmp_path: Path) -> Iterator[PipedLog]:
         opened.process.wait(5)
 
 
+def write(log: PipedLog, count: int = 500) -> None:
+    """So many samples are sent, and its writer has answered for them; the file may hold half a chunk before."""
+    for number in range(count):
+        log.event(sample(number))
+    log.flush()
+    while log._written < log._sent:
+        log.flush_due(time.monotonic_ns())
+        time.sleep(0.005)
+
+
 def wait_for_failure(log: PipedLog, timeout_s: float = 5.0) -> tuple[str, float]:
     """What is said, and how long after the start."""
     begin_s = time.monotonic()
@@ -106,12 +116,7 @@ def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.requirement("SR-18")
 def test_a_dead_writer_is_noticed_within_a_second_and_what_it_had_is_there(log: PipedLog) -> None:
-    for number in range(500):
-        log.event(sample(number))
-    log.flush()
-    while log._written < log._sent:  # what it has answered for; the file may hold half a chunk before
-        log.flush_due(time.monotonic_ns())
-        time.sleep(0.005)
+    write(log)
     kept = log.path.stat().st_size
     os.kill(log.process.pid, signal.SIGKILL)
     said, after_s = wait_for_failure(log)
@@ -298,11 +303,7 @@ def test_a_log_that_is_removed_just_before_the_end_is_not_called_whole(log: Pipe
 
 @pytest.mark.requirement("SR-18")
 def test_a_log_that_is_cut_short_by_another_program_is_told_of(log: PipedLog) -> None:
-    for number in range(500):
-        log.event(sample(number))
-    log.flush()
-    while log._written < log._sent:
-        log.flush_due(time.monotonic_ns())
+    write(log)
     os.truncate(log.path, 1000)
     said, after_s = wait_for_failure(log)
     assert "cut short" in said
