@@ -160,7 +160,6 @@ class SupervisedLine:
 
     def __init__(self, link: socket.socket, lost: type[Exception]) -> None:
         self.heard = b""
-        self.done_ns = 0  # when the supervisor had done what was asked last
         self.on_own: Callable[[StimCommand, WireFrame], None] = lambda command, frame: None
         self.on_fault: Callable[[str], None] = lambda text: None
         self._link, self._lost = link, lost
@@ -258,7 +257,6 @@ class SupervisedLine:
             answer = unpacked(data)
             values = self._without_untold(answer, number)
             if answer.number == number:
-                self.done_ns = answer.t_ns
                 return values
 
     def _without_untold(self, answer: Datagram, number: int) -> list[Any]:

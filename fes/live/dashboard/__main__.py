@@ -56,7 +56,6 @@ class SessionLink:
         self._web = uvicorn.Server(uvicorn.Config(self._server.app, **WEB))
         self._presses: deque[str] = deque(maxlen=PRESSES)
         self._pending = False
-        self._goodbye: asyncio.TimerHandle | None = None
 
     async def run(self) -> None:
         """Serve until the session is over."""
@@ -108,7 +107,7 @@ class SessionLink:
             loop = asyncio.get_running_loop()
             loop.remove_reader(self._link.fileno())
             farewell_s = FAREWELL_S if self._server.browsers else 0.0
-            self._goodbye = loop.call_later(farewell_s, setattr, self._web, "should_exit", True)
+            loop.call_later(farewell_s, setattr, self._web, "should_exit", True)
 
     def _write_next_link(self) -> None:
         """The link was used: the file holds the next one."""
