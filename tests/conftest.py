@@ -38,7 +38,7 @@ if "MUTANT_UNDER_TEST" in os.environ:  # a busy machine must not look like a tes
 
 
 # their verdict depends on when the machine schedules a process: deadlines between processes, a killed one's end
-LIVE = ("transports/", "live/test_live_orphans.py", "live/test_live_log.py", "live/test_page_server.py")
+LIVE = ("transports/", "live/test_live_log.py", "live/test_page_server.py")
 LIVE += (
     "report/test_report_moments.py",  # a browser that a busy machine lets wait
     "live/test_live_source.py",

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 from dataclasses import dataclass, field
 
+from fes.live.source import EMPTY_READS
+from fes.live.supervision import SessionOpened
 from fes.signals import StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 
 MS = 1_000_000
@@ -83,6 +86,39 @@ class SocketImu:
         self._ours.close()
 
 
+class EverReadable:
+    """A line that has :meth:`samples` whenever it is read; none at first, for what has queued up is let go."""
+
+    def __init__(self, *sensors: str) -> None:
+        self.sensors = sensors
+        self.serials: dict[str, str] = {}
+        self.notices: list[str] = []
+        self._ready, self._more = os.pipe()
+        os.write(self._more, b"x")
+        self._unheard = EMPTY_READS
+
+    def fileno(self) -> int:
+        return self._ready
+
+    def read(self, t_ns: int) -> list[Raw]:
+        os.write(self._more, os.read(self._ready, 1))  # readable anew
+        if self._unheard:
+            self._unheard -= 1
+            return []
+        return self.samples(t_ns)
+
+    def samples(self, t_ns: int) -> list[Raw]:
+        """What is read next; the test moves its clock on."""
+        raise NotImplementedError
+
+    def reopen(self) -> None:
+        raise Lost
+
+    def close(self) -> None:
+        os.close(self._ready)
+        os.close(self._more)
+
+
 class SameClock:
     """The device runs on the host's clock."""
 
@@ -113,6 +149,12 @@ class FakeStimulator:
             raise Lost(self.broken)
         answers, self.answers = self.answers, []
         return answers
+
+    def open(self, t_ns: int) -> SessionOpened:
+        """Again, once it is no longer broken."""
+        if self.broken:
+            raise Lost(self.broken)
+        return SessionOpened(4711, 0.5, (WireFrame(t_ns, 0x100, b"hello"),), ())
 
     def close(self) -> None:
         self.closed = True

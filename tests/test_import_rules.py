@@ -55,7 +55,7 @@ PURE: tuple[str, ...] = (
     "fes.estimation",
     "fes.evaluation.delivered",
     "statemachine",
-    *(f"fes.live.{name}" for name in ("operator", "commands", "status", "notices", "sensor_monitor")),
+    *(f"fes.live.{name}" for name in ("operator", "commands", "status", "sensor_monitor")),
 )
 
 

@@ -36,7 +36,7 @@ from fes.control.controller import Controller
 from fes.control.runner import TICK_NS, Runner
 from fes.estimation.sensor_choice import Calibration
 from fes.gate import gate_of
-from fes.live.sensors import SensorStream
+from fes.live.source import SensorStream
 from fes.session_log import Note
 from fes.signals import (
     NS_PER_S,

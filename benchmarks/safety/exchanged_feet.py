@@ -23,7 +23,7 @@ from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker
-from fes.live.sides import LEAST_SCORE, LEAST_STRIDES, MOST_STRIDES, SideCheck
+from fes.live.sensor_monitor import LEAST_SCORE, LEAST_STRIDES, MOST_STRIDES, SideCheck
 from fes.recording import Track, read_recording
 from fes.recording.tracks import newer_samples
 from fes.signals import FOOT_SENSORS, FloatArray, ImuSample, StrideResult

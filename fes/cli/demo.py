@@ -33,6 +33,7 @@ from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.closed_loop import one_process
 from fes.hil.closed_loop.bench import start_patient_bench
 from fes.hil.closed_loop.one_process import LOW_MM, outcome, run_in_one_process
+from fes.hil.closed_loop.patient_process import Life
 from fes.hil.closed_loop.processes import Protocol, run_between_processes
 from fes.hil.settings import patient_calibration, patient_session_text
 from fes.live.status import Status
@@ -250,7 +251,7 @@ def _between_processes(
 
     with failing(ImuLost, StimulatorLost), failing(CampaignBroken, kind=StoppedEarly), ExitStack() as stack:
         bench = start_patient_bench(
-            settings, folder, stack, stimulator=stimulator, current_ma=one_process.CURRENT_MA, held=True
+            settings, folder, stack, Life(held=True), stimulator=stimulator, current_ma=one_process.CURRENT_MA
         )
         ran = run_between_processes(
             bench, plan, on_stride=on_stride, on_status=on_status, on_tick=interrupt.check, most_rearms=GO_ON

@@ -41,6 +41,7 @@ from fes.config import ConfigError, load_session
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.hil.closed_loop.one_process import walk_stimulated, write_strides
+from fes.hil.closed_loop.patient_process import Life
 from fes.live.inputs import Terminal, standard_keys
 from fes.recording import RecordingError, write_recording
 from fes.session_log import Note, SessionLogError
@@ -72,8 +73,9 @@ def simulate_live(
     keys = standard_keys()
     with ExitStack() as stack:
         interrupt = stack.enter_context(Interrupt())
+        life = Life(waits=True, sensors=sensors)
         with failing(ImuLost, StimulatorLost, CalibrationError):
-            bench = start_patient_bench(settings, folder, stack, stimulator=stimulator, waits=True, sensors=sensors)
+            bench = start_patient_bench(settings, folder, stack, life, stimulator=stimulator)
         meet = f"fes run {bench.session} --calibration {bench.calibration}"
         click.echo(f"The patient stands. In another terminal:\n\n    {meet}\n")
         click.echo("There: a arms (while the patient stands), + raises the intensity.")

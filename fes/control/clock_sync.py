@@ -7,7 +7,7 @@ from network delay measurements"). Causal, no clock of its own, the same numbers
 
 Where all samples may be late, as by radio, the least delayed one proves nothing. There the device is asked for its
 time: what it answers was its time after the question, so no sample was measured before ``stamp + (asked - answer)``.
-:class:`BoundedClock` maps to that earliest moment, and knows how much later it can have been.
+:class:`BoundedClock` maps to that earliest moment.
 """
 
 from collections import deque
@@ -57,11 +57,6 @@ class SensorClock:
     def offset_ns(self) -> int:
         """What is added to the device's stamp now."""
         return self._base_ns + round(self._out_ns) if self._started else 0
-
-    @property
-    def drift_ppm(self) -> float:
-        """How much faster than the host's the device's clock runs; 0 until 10 s have been seen."""
-        return -self._slope * 1e6 if self._started else 0.0
 
     def map(self, t_host_ns: int, t_device_ns: int) -> int:
         """The stamp on the host's time base, ns.
@@ -143,12 +138,7 @@ class BoundedClock:
         self.resets = 0
         self._known: tuple[int, int] | None = None  # the best bound of host - device, and the device's time of it
         self._out_ns: float | None = None
-        self._began_ns = self._newest_ns = self._least_ns = 0
-
-    @property
-    def uncertainty_ns(self) -> int:
-        """How much later than mapped a sample can have been measured: the least delay that was seen; 0 at first."""
-        return self._least_ns
+        self._began_ns = self._newest_ns = 0
 
     def asked(self, t_host_ns: int, t_device_ns: int) -> None:
         """The device's clock showed this after, and not before, this time of the host's."""
@@ -168,7 +158,6 @@ class BoundedClock:
         bound_ns = self._bound_ns(t_device_ns)
         if self._out_ns is None:
             self._out_ns, self._began_ns, self._newest_ns = bound_ns, t_device_ns, t_device_ns
-            self._least_ns = round(t_host_ns - t_device_ns - bound_ns)
         step_ns = t_device_ns - self._newest_ns
         if t_device_ns + bound_ns > t_host_ns + AHEAD_NS or step_ns < -JUMP_NS:
             self.resets += 1
@@ -177,10 +166,7 @@ class BoundedClock:
         if step_ns > 0:
             settling = t_device_ns - self._began_ns < SETTLE_NS
             most_ns = (SETTLE_SLEW if settling else 2.0 * MAX_SLEW) * step_ns
-            moved_ns = min(max(bound_ns - self._out_ns, -most_ns), most_ns)
-            self._out_ns += moved_ns
-            delay_ns = round(t_host_ns - t_device_ns - self._out_ns)
-            self._least_ns = min(self._least_ns + round(MAX_SLEW * step_ns - moved_ns), delay_ns)
+            self._out_ns += min(max(bound_ns - self._out_ns, -most_ns), most_ns)
             self._newest_ns = t_device_ns
         return t_device_ns + round(self._out_ns)
 

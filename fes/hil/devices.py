@@ -43,7 +43,7 @@ from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.hil.closed_loop.bench import PatientHandle, PatientSensor, campaign_patient
 from fes.hil.results import PERIOD_NS
 from fes.hil.scenarios import Needs, Scenario
-from fes.hil.sensor_faults import PULSE_BY_PULSE, RealSensor
+from fes.hil.sensor_faults import PULSE_BY_PULSE, HeardAnswers, RealSensor
 from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, SENSOR_HZ, STANDS_S, Walker, session_text, walker
 from fes.recording import Recording, RecordingError, Track, write_recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, BoolArray, FloatArray
@@ -412,7 +412,7 @@ class BusWitness:
     rogue: Rogue
     _entries: list[RecordEntry] = field(default_factory=list)
     _read: int = 0
-    _on: set[int] = field(default_factory=set)
+    _heard: HeardAnswers = field(default_factory=HeardAnswers)
     _over: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
 
@@ -438,16 +438,12 @@ class BusWitness:
         message = None
         with suppress(FrameRejected):
             message = decode(identifier, data) if identifier == STATUS_ID else None
-        if not isinstance(message, Status) or not (message.on or message.channel in self._on):
+        if not isinstance(message, Status):
             return
-        if message.on:
-            event = "level" if message.channel in self._on else "on"
-            self._on.add(message.channel)
-        else:
-            self._on.discard(message.channel)
-            event = _ENDED_BY.get(message.result, "off")
         levels = (message.current_ma, message.pulse_width_us, message.frequency_hz)
-        self._entries.append(RecordEntry(t_ns, event, message.channel, *levels, t_ns, 0, t_ns))
+        ended_by = _ENDED_BY.get(message.result, "off")
+        if entry := self._heard.entry(t_ns, message.channel, message.on, levels, ended_by):
+            self._entries.append(entry)
 
     def _listen(self) -> None:
         while not self._over.is_set():

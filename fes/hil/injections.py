@@ -12,7 +12,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Final
+from pathlib import Path
+from typing import Final, TypeVar
 
 from drivers.simulated.bus_guests import FRAMES_PER_S, Rogue, asks_for_current, flipped, random_frames
 from drivers.simulated.spawn import NodeHandle
@@ -38,21 +39,28 @@ FROZEN_S: Final = 2.0
 STARVING_PRIORITY: Final = 60
 MANY: Final = 100_000
 
+Found = TypeVar("Found")
 Inject = Callable[[CampaignBench, int], int]
 """Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
 Heal = Callable[[CampaignBench], object]
 
 
+def _needed(found: Found | None, what: str) -> Found:
+    if found is None:
+        raise CampaignBroken(f"there is no {what}")
+    return found
+
+
 def _rogue(bench: CampaignBench) -> Rogue:
-    if bench.devices.back is None:
-        raise CampaignBroken("there is no CAN bus")
-    return Rogue(bench.devices.back)
+    return Rogue(_needed(bench.devices.back, "CAN bus"))
 
 
 def _link(bench: CampaignBench) -> NodeHandle:
-    if bench.devices.link is None:
-        raise CampaignBroken("there is no line between controller and stimulator")
-    return bench.devices.link
+    return _needed(bench.devices.link, "line between controller and stimulator")
+
+
+def _log(bench: CampaignBench) -> Path:
+    return _needed(bench.session().log(), "log of the session")
 
 
 def flips(bench: CampaignBench, n: int) -> int:
@@ -227,9 +235,7 @@ def _hogs(bench: CampaignBench, n: int) -> int:
 
 def _full_disk(bench: CampaignBench, n: int) -> int:
     """The log's file may not grow any more: its next write is refused, as a full disk's is."""
-    log = bench.session().log()
-    if log is None:
-        raise CampaignBroken("the session has no log")
+    log = _log(bench)
     writer = bench.session().child("fes.live.log_process")
     t_ns = time.monotonic_ns()
     resource.prlimit(writer, resource.RLIMIT_FSIZE, (log.stat().st_size, resource.RLIM_INFINITY))
@@ -238,10 +244,7 @@ def _full_disk(bench: CampaignBench, n: int) -> int:
 
 def _log_removed(bench: CampaignBench, n: int) -> int:
     """Somebody clears the folder: the file's name is gone, and what is written goes nowhere that can be found."""
-    log = bench.session().log()
-    if log is None:
-        raise CampaignBroken("the session has no log")
-    t_ns = time.monotonic_ns()
+    log, t_ns = _log(bench), time.monotonic_ns()
     log.unlink()
     return t_ns
 

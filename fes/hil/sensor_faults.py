@@ -89,11 +89,36 @@ class InjectedFaults:
             self._link.send(json.dumps(message).encode())
 
 
+class HeardAnswers:
+    """A stimulator's answers as entries of a record; which channels are on is known by those before.
+
+    ``pulses``: it answers every pulse and has no answer to "off" (:data:`PULSE_BY_PULSE`).
+    """
+
+    def __init__(self, *, pulses: bool = False) -> None:
+        self._pulses = pulses
+        self._on: set[int] = set()
+
+    def entry(
+        self, t_ns: int, channel: int, on: bool, levels: Sequence[float], ended_by: str = "off"
+    ) -> RecordEntry | None:
+        """It delivers these levels (mA, µs, Hz), or is off; None where it was off before."""
+        was_on = channel in self._on
+        if not (on or was_on):
+            return None
+        event = ended_by if not on else "pulse" if self._pulses else "level" if was_on else "on"
+        if not on:
+            self._on.discard(channel)
+        elif not self._pulses:
+            self._on.add(channel)
+        current_ma, width_us, frequency_hz = levels
+        return RecordEntry(t_ns, event, channel, current_ma, width_us, frequency_hz, t_ns, last_pulse_ns=t_ns)
+
+
 class RealSensor:
     """The campaign's end: to be used as a simulated sensor's handle is. :meth:`connect` it for each session.
 
-    ``pulses``: the stimulator answers every pulse and has no answer to "off" (:data:`PULSE_BY_PULSE`); None: others
-    hear the stimulator, and its answers are not kept.
+    ``pulses``: as of :class:`HeardAnswers`; None: others hear the stimulator, and its answers are not kept.
     """
 
     def __init__(self, *, pulses: bool | None) -> None:
@@ -101,7 +126,7 @@ class RealSensor:
         self._link: socket.socket | None = None
         self._answers: Queue[dict[str, Any]] = Queue()
         self._entries: Queue[RecordEntry] = Queue()
-        self._on: set[int] = set()
+        self._heard = HeardAnswers()
         self._number = 0
         self._missed = False
 
@@ -110,7 +135,7 @@ class RealSensor:
         self.close()
         self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.send(DUMMY_LOAD)
-        self._on.clear()
+        self._heard = HeardAnswers(pulses=bool(self._pulses))
         self._entries.put(RecordEntry(time.monotonic_ns(), "boot"))  # what the last session saw no end of is over
         threading.Thread(target=self._listen, args=(self._link,), daemon=True).start()
         return theirs
@@ -156,20 +181,6 @@ class RealSensor:
             self._link.close()
             self._link = None
 
-    def _note(self, t_ns: int, channel: int, on: bool, faulty: bool, levels: Sequence[float]) -> None:
-        """The stimulator answered: it delivers these levels (mA, µs, Hz), or is off; at a fault nobody knows."""
-        if not on and (faulty or channel not in self._on):
-            return
-        event = "off" if not on else "pulse" if self._pulses else "level" if channel in self._on else "on"
-        if not on:
-            self._on.discard(channel)
-        elif not self._pulses:
-            self._on.add(channel)
-        current_ma, width_us, frequency_hz = levels
-        self._entries.put(
-            RecordEntry(t_ns, event, channel, current_ma, width_us, frequency_hz, t_ns, last_pulse_ns=t_ns)
-        )
-
     def _listen(self, link: socket.socket) -> None:
         told = 0
         with suppress(OSError):
@@ -183,4 +194,8 @@ class RealSensor:
                 told += 1
                 if message["told"] != told:
                     told, self._missed = message["told"], True
-                self._note(*message["status"])
+                t_ns, channel, on, faulty, levels = message["status"]
+                if not on and faulty:
+                    continue  # at a fault nobody knows
+                if entry := self._heard.entry(t_ns, channel, on, levels):
+                    self._entries.put(entry)

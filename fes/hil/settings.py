@@ -34,56 +34,18 @@ CALIBRATION_S: Final = 16.0
 _PATIENT: Final = settings_for("healthy", seed=11, speed_mps=1.1, sensors=(FOOT,), rate_hz=RATE_HZ, stand_s=STANDS_S)
 SYNC_ID: Final = 0x51A7  # that the virtual patient's wireless sensors share
 PATIENT_CURRENT_MA: Final = 16.0  # too little for most: the tuning has to find what is needed
-_SESSION: Final = """# Written by fes: a virtual patient and a simulated stimulator. Valid while they run.
-name = "Virtual patient"
-subject = "simulated"
-
-[stimulation]
-intensity = 1.0
-{radio}
-[[channels]]
-name = "Tibialis anterior, {side}"
-number = {channel}
-foot = "{foot}"
-muscle = "tibialis anterior"
-electrode_area_cm2 = 25.0
-current_ma = {current_ma}
-pulse_width_us = 300.0
-frequency_hz = 40.0
-start_phase = "pre_swing"
-{onset}stop_phase = "loading_response"
-rise_s = 0.15
-extension_s = 0.06
-fall_s = 0.10
-
-[channels.limits]
-max_current_ma = 50.0
-max_pulse_width_us = 400.0
-max_frequency_hz = 50.0
-max_charge_per_phase_uc = 15.0
-max_charge_per_minute_mc = {minute_mc}
-max_current_density_ma_per_cm2 = 0.5
-max_rise_ma_per_s = 400.0
-max_on_s = {max_on_s}
-min_off_s = 0.1
-{tuning}
-[treadmill]
-belt_speed_mps = {speed_mps}
-"""
-_TUNING: Final = """
-[channels.tuning]
-mode = "{tuning}"
-method = "run_to_run"
-timing = true
-toe_clearance_m = {{ low = 0.020, high = 0.050 }}
-pitch_at_contact_deg = {{ low = 4.0, high = 25.0 }}
-
-[channels.tuning.bounds]
-current_ma = {{ low = 10.0, high = 50.0 }}
-pulse_width_us = {{ low = 150.0, high = 300.0 }}
-start_delay_s = {{ low = 0.0, high = 0.2 }}
-extension_s = {{ low = -0.1, high = 0.1 }}
-"""
+_TUNING: Final = {
+    "method": "run_to_run",
+    "timing": True,
+    "toe_clearance_m": {"low": 0.020, "high": 0.050},
+    "pitch_at_contact_deg": {"low": 4.0, "high": 25.0},
+    "bounds": {
+        "current_ma": {"low": 10.0, "high": 50.0},
+        "pulse_width_us": {"low": 150.0, "high": 300.0},
+        "start_delay_s": {"low": 0.0, "high": 0.2},
+        "extension_s": {"low": -0.1, "high": 0.1},
+    },
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,38 +100,14 @@ _CABLE: Final = replace(
 )  # by radio all that its class allows
 CHANNEL: Final = 0
 BUTTON_ID: Final = 0x3A0
-_BUTTON: Final = f"""
-[live.stop_button]
-source = "can_bit"
-identifier = {BUTTON_ID}
-bit = 0
-pressed = "high"
-"""
+_BUTTON: Final = {"source": "can_bit", "identifier": BUTTON_ID, "bit": 0, "pressed": "high"}
 
-_CHANNEL: Final = f"""
-[[channels]]
-name = "tibialis anterior"
-number = {CHANNEL}
-foot = "{{foot}}"
-electrode_area_cm2 = 25.0
-current_ma = {CURRENT_MA}
-pulse_width_us = {PULSE_WIDTH_US}
-frequency_hz = {FREQUENCY_HZ}
-start_phase = "{{start}}"
-stop_phase = "{{stop}}"
-rise_s = 0.1
 
-[channels.limits]
-max_current_ma = {{most.max_current_ma}}
-max_pulse_width_us = 400.0
-max_frequency_hz = 50.0
-max_charge_per_phase_uc = {{most.max_charge_per_phase_uc}}
-max_charge_per_minute_mc = {{most.max_charge_per_minute_mc}}
-max_current_density_ma_per_cm2 = 1.0
-max_rise_ma_per_s = 800.0
-max_on_s = {{most.max_on_s}}
-min_off_s = 0.05
-"""
+def _channel_text(channel: Mapping[str, Any], limits_of_it: Mapping[str, float]) -> str:
+    """One on an electrode of 25 cm², by the pulses that all channels here have."""
+    pulses = {"electrode_area_cm2": 25.0, "pulse_width_us": PULSE_WIDTH_US, "frequency_hz": FREQUENCY_HZ}
+    limited = {"max_pulse_width_us": 400.0, "max_frequency_hz": 50.0, **limits_of_it}
+    return f"\n[[channels]]\n{toml_text({**channel, **pulses})}\n{toml_text({'channels': {'limits': limited}})}"
 
 
 def session_text(
@@ -190,13 +128,29 @@ def session_text(
     most = limits.RADIO if sensors in WIRELESS else _CABLE
     if variant == "dose":
         most = replace(most, max_charge_per_minute_mc=DOSE_MC)
-    text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
-    text += f"validity_ms = {most.max_validity_ms}\nmax_data_age_ms = {most.max_data_age_ms}\n"
     foot, rate_hz = (worn_by.foot, worn_by.rate_hz) if worn_by else (FOOT, RATE_HZ)
     acc_mps2, gyr_radps = (worn_by.acc_range_mps2, worn_by.gyr_range_radps) if worn_by else (None, None)
-    text += _CHANNEL.format(foot=foot, start=start, stop=stop, most=most)
+    aged = {"validity_ms": most.max_validity_ms, "max_data_age_ms": most.max_data_age_ms}
+    text = toml_text(
+        {"name": "fault campaign", "stimulation": {"intensity": INTENSITY, "strides_before_start": 0, **aged}}
+    )
+    text += _channel_text(
+        {
+            **{"name": "tibialis anterior", "number": CHANNEL, "foot": foot, "current_ma": CURRENT_MA},
+            **{"start_phase": start, "stop_phase": stop, "rise_s": 0.1},
+        },
+        {
+            "max_current_ma": most.max_current_ma,
+            "max_charge_per_phase_uc": most.max_charge_per_phase_uc,
+            "max_charge_per_minute_mc": most.max_charge_per_minute_mc,
+            "max_current_density_ma_per_cm2": 1.0,
+            "max_rise_ma_per_s": 800.0,
+            "max_on_s": most.max_on_s,
+            "min_off_s": 0.05,
+        },
+    )
     text += _sensor_text(sensors, foot, sensor_port, rate_hz, acc_mps2, gyr_radps) + _stimulator_text(stimulator, bus)
-    return text + (_BUTTON if variant == "button" else "")
+    return text + ("\n" + toml_text({"live": {"stop_button": _BUTTON}}) if variant == "button" else "")
 
 
 def reversed_axis(calibration: Path, folder: Path) -> Path:
@@ -249,17 +203,32 @@ def patient_session_text(
     """
     by_radio = sensors in WIRELESS
     most = limits.RADIO if by_radio else limits.CABLE
-    text = _SESSION.format(
-        side=settings.side, channel=settings.channel, foot=settings.affected_foot, current_ma=float(current_ma),
-        speed_mps=settings.speed_mps,
-        tuning="" if by_radio else _TUNING.format(tuning=tuning),
-        radio=f"validity_ms = {most.max_validity_ms}\nmax_data_age_ms = {most.max_data_age_ms}\n" if by_radio else "",
-        onset='onset = "predicted"\n' if by_radio else "",
-        minute_mc=min(40.0, most.max_charge_per_minute_mc), max_on_s=min(3.0, most.max_on_s),
-    )  # fmt: skip
-    for foot, geometry in VirtualPatient(settings).geometry.items():
-        if foot in settings.sensors:
-            text += "\n" + toml_text({"geometry": {foot: geometry.model_dump()}})
+    aged = {"validity_ms": most.max_validity_ms, "max_data_age_ms": most.max_data_age_ms} if by_radio else {}
+    stimulation = {"intensity": 1.0, **aged}
+    text = "# Written by fes: a virtual patient and a simulated stimulator. Valid while they run.\n"
+    text += toml_text({"name": "Virtual patient", "subject": "simulated", "stimulation": stimulation})
+    text += _channel_text(
+        {
+            **{"name": f"Tibialis anterior, {settings.side}", "number": settings.channel},
+            **{"foot": settings.affected_foot, "muscle": "tibialis anterior", "current_ma": float(current_ma)},
+            **{"start_phase": "pre_swing", "stop_phase": "loading_response"},
+            **{"onset": "predicted" if by_radio else None, "rise_s": 0.15, "extension_s": 0.06, "fall_s": 0.10},
+        },
+        {
+            "max_current_ma": 50.0,
+            "max_charge_per_phase_uc": 15.0,
+            "max_charge_per_minute_mc": min(40.0, most.max_charge_per_minute_mc),
+            "max_current_density_ma_per_cm2": 0.5,
+            "max_rise_ma_per_s": 400.0,
+            "max_on_s": min(3.0, most.max_on_s),
+            "min_off_s": 0.1,
+        },
+    )
+    if not by_radio:
+        text += "\n" + toml_text({"channels": {"tuning": {"mode": tuning, **_TUNING}}})
+    geometry = VirtualPatient(settings).geometry.items()
+    worn = {foot: each.model_dump() for foot, each in geometry if foot in settings.sensors}
+    text += "\n" + toml_text({"treadmill": {"belt_speed_mps": settings.speed_mps}, "geometry": worn})
     for number, (sensor, port) in enumerate((ports or {}).items()):
         text += _sensor_text(sensors, sensor, port, settings.rate_hz, settings.imu.acc_range_mps2)
         if sensors.startswith("capture2go") and len(ports or {}) > 1:  # the first's clock is all others'

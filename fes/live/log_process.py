@@ -1,4 +1,4 @@
-"""The process that writes the session log: ``python -m fes.live.log_process SOCKET_FD FILE_FD PATH``.
+"""The process that writes the session log: ``python -m fes.live.log_process SOCKET_FD PARENT_PID FILE_FD PATH``.
 
 A disk that is slow, full or gone holds up this process and nobody else. It writes what it is sent as it comes, answers
 ``ok BYTES`` for what the operating system has, ``error NUMBER`` when that refuses, and ends when the other end does:
@@ -15,7 +15,6 @@ not, it says ``gone WHY``, copies what the open file still holds to a new one, s
 import contextlib
 import errno
 import os
-import signal
 import socket
 import sys
 import tempfile
@@ -24,6 +23,8 @@ import time
 from itertools import count
 from pathlib import Path
 from typing import Final
+
+from fes.live.processes import joined
 
 CHUNK: Final = 1 << 18
 # a disk that hangs has been said to after both of them: within a second
@@ -152,11 +153,10 @@ def _answer(link: socket.socket, line: str) -> None:
 
 
 def main() -> int:
-    """Run until the controller's end closes; Ctrl-C is the controller's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    link_fd, file = int(sys.argv[1]), int(sys.argv[2])
-    with socket.socket(fileno=link_fd) as link:
-        return copy(link, file, Path(sys.argv[3]))
+    """Run until the controller's end closes."""
+    link, _, (file, path) = joined()
+    with link:
+        return copy(link, int(file), Path(path))
 
 
 if __name__ == "__main__":

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Mapping
+from bisect import bisect_left
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from statistics import median
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -13,15 +16,14 @@ from fes.control.controller import Controller
 from fes.control.runner import Log
 from fes.gate import SafetyGate
 from fes.live.inputs import printable
-from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
-from fes.live.sensor_monitor import SensorMonitor
-from fes.live.sides import SideCheck
-from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Status, percent_of, remedy
+from fes.live.sensor_monitor import SensorMonitor, SideCheck
+from fes.live.source import SensorStream
+from fes.live.status import FootStatus, Status, TuningStatus, percent_of, remedy
 from fes.session_log import Note
 from fes.signals import (
     GROUND_ACTS,
+    NS_PER_S,
     Event,
     FootSwitchEvent,
     ImuSample,
@@ -29,12 +31,15 @@ from fes.signals import (
     OperatorAction,
     StimAlive,
     StimCommand,
+    StimOpened,
     StimStatus,
     StrideResult,
     WireFrame,
 )
+from fes.stimulation.envelope import BurstParameters, difference
 from fes.stimulation.ground import GroundWatch
-from statemachine.phases import PhaseChange
+from fes.stimulation.tuning.session import Tuners
+from statemachine.phases import Phase, PhaseChange
 
 if TYPE_CHECKING:
     from fes.live.dashboard.stream import DashboardStream
@@ -73,6 +78,162 @@ class Timing:
         """For the session log: how many took longer than each edge."""
         over = {f"{edge_ms:g}": over for edge_ms, over in zip(EDGES_MS, self._over, strict=True)}
         return {"count": self.count, "most_ms": round(self.most_ms, 3), "longer_than_ms": over}
+
+
+PAIRED_WITHIN_NS: Final = 300_000_000  # half of a quick stride
+
+
+class SwitchComparison:
+    """How a foot switch differs from the sensor's phases: contact against loading response, release against swing."""
+
+    def __init__(self) -> None:
+        self._switch: dict[tuple[str, str], list[int]] = defaultdict(list)
+        self._phase: dict[tuple[str, str], list[int]] = defaultdict(list)
+
+    def add_switch(self, event: FootSwitchEvent) -> None:
+        """The switch closed or opened."""
+        if event.pressed is not None:
+            self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
+
+    def add_phase(self, change: PhaseChange) -> None:
+        """The sensor's foot came into a phase."""
+        what = {Phase.LOADING_RESPONSE: "contact", Phase.SWING: "release"}.get(change.destination)
+        if what is not None:
+            self._phase[change.foot, what].append(change.t_ns)
+
+    def to_dict(self) -> dict[str, Any]:
+        """By foot and kind: the sensor's delay behind the switch (ms; median, least, most), and what had no pair."""
+        found: dict[str, Any] = {}
+        for (foot, what), switched in self._switch.items():
+            of_phases = sorted(self._phase[foot, what])
+            delays_ms = [delay * 1e-6 for t_ns in switched if (delay := _nearest(of_phases, t_ns)) is not None]
+            entry: dict[str, Any] = {"pairs": len(delays_ms), "switch_only": len(switched) - len(delays_ms)}
+            entry["sensor_only"] = max(len(of_phases) - len(delays_ms), 0)
+            if delays_ms:
+                entry["delay_ms"] = [round(f(delays_ms), 1) for f in (median, min, max)]
+            found.setdefault(foot, {})[what] = entry
+        return found
+
+
+def _nearest(times_ns: list[int], t_ns: int) -> int | None:
+    """How much later than ``t_ns`` the nearest of the times is; None if none is near enough."""
+    at = bisect_left(times_ns, t_ns)
+    near = [other - t_ns for other in times_ns[max(at - 1, 0) : at + 1]]
+    best = min(near, key=abs, default=None)
+    return best if best is not None and abs(best) <= PAIRED_WITHIN_NS else None
+
+
+class Electrodes:
+    """Which channels' electrodes are not known yet: some stimulators report an open lead only with a pulse.
+
+    Args:
+        channels: those of the session.
+        detected_from_ma: the least current whose answer reports an open lead, 0 for any pulse; None: the stimulator
+            reports it by itself, so that nothing is ever unknown.
+    """
+
+    def __init__(self, channels: Iterable[int], detected_from_ma: float | None) -> None:
+        self._channels = tuple(sorted(channels)) if detected_from_ma is not None else ()
+        self._detected_from_ma = detected_from_ma or 0.0
+        self._unknown = set(self._channels)
+
+    def add_event(self, event: Event) -> None:
+        """An answer without a fault at such a current makes known; one that was away may have been rewired."""
+        if isinstance(event, StimStatus):
+            if event.on and not event.fault and event.current_ma >= max(self._detected_from_ma, 1e-9):
+                self._unknown.discard(event.channel)
+        elif isinstance(event, StimOpened):
+            self._unknown = set(self._channels)
+
+    def unknown(self) -> str:
+        """Which are not known yet, for people; "" when all are."""
+        if not self._unknown:
+            return ""
+        at = f" at {self._detected_from_ma:g} mA" if self._detected_from_ma else ""
+        which = ", ".join(map(str, sorted(self._unknown)))
+        return f"electrode not known until the first pulse{at} (channel {which})"
+
+
+SHOWN_NS: Final = 5 * NS_PER_S  # after the newest faulty sample; the log has the first, and its end how many
+
+
+class Notices:
+    """What a person should know though nothing is latched: shown with every status, logged when it begins.
+
+    Faulty samples and lost lines of sensors that no channel follows, what sensors say of themselves, electrodes of
+    which nothing is known yet, and what the controller says ``of_feet``. A line goes when what it tells of is over.
+    ``lasting``: what else holds until the session ends.
+    """
+
+    def __init__(self, gate: SafetyGate, electrodes: Electrodes, of_feet: Callable[[], list[str]]) -> None:
+        self.electrodes = electrodes
+        self.streams: Sequence[SensorStream] = ()
+        self.lasting: list[str] = []
+        self.log = ""  # what its disk is behind with
+        self.proof: Callable[[], str] = str  # what a person has to show before arming
+        self.witness: Callable[[], list[str]] = list  # what it says of the foot sensors
+        self._gate = gate
+        self._of_feet = of_feet
+        self._losses: dict[SensorStream, int] = {}
+
+    def now(self, t_ns: int) -> list[str]:
+        """All that holds at ``t_ns``."""
+        flags = [
+            f"{sensor}: {flag.samples} faulty samples, the newest: {flag.fault}; it drives no channel"
+            for sensor, flag in self._gate.flagged.items()
+            if t_ns - flag.t_ns < SHOWN_NS
+        ]
+        lost = (stream.why_lost for stream in self.streams)
+        of_session = self.electrodes.unknown(), self.log, self.proof(), *self.lasting
+        of_sensors = (notice for stream in self.streams for notice in stream.notices)
+        return list(filter(None, (*self._of_feet(), *flags, *lost, *of_sensors, *self.witness(), *of_session)))
+
+    def new_losses(self) -> list[str]:
+        """Lines lost since the last call whose loss is no fault; the others' are events."""
+        new = []
+        for stream in self.streams:
+            if stream.losses != self._losses.get(stream, 0):
+                self._losses[stream] = stream.losses
+                if not stream.needed:
+                    new.append(f"{stream.why_lost or ', '.join(stream.sensors)}; it drives no channel")
+        return new
+
+
+def tuning_status(tuning: Tuners) -> dict[str, TuningStatus]:
+    """Every channel by its number, also those that only have a ledger."""
+    return {str(number): _channel_status(tuning, number) for number in tuning.ledger.electrodes}
+
+
+def _channel_status(tuning: Tuners, number: int) -> TuningStatus:
+    dose, tuner = tuning.ledger.electrodes[number], tuning.tuners.get(number)
+    charge = TuningStatus(
+        step_uc=round(dose.steps_uc[-1], 1) if dose.steps_uc else 0.0,
+        minute_uc=round(dose.this_minute_uc, 1),
+        session_uc=round(dose.session_uc, 1),
+    )
+    if tuner is None:
+        return charge
+    texts = {kind: report.text for (channel, kind), report in tuning.latest.items() if channel == number}
+    changes = [
+        tuning.latest[number, kind] for kind in ("change", "roll_back", "fault") if (number, kind) in tuning.latest
+    ]
+    newest = max(changes, key=lambda report: report.t_ns, default=None)
+    return replace(
+        charge,
+        mode=tuner.tuning.mode,
+        frozen=tuner.frozen,
+        now=describe_parameters(tuner.parameters),
+        suggestion="" if tuner.pending is None else difference(tuner.parameters, tuner.pending),
+        why=texts.get("suggestion", "") if tuner.pending is not None else "",
+        last_change="" if newest is None else newest.text,
+        last_change_ns=0 if newest is None else newest.t_ns,
+        hint=texts.get("fault", "") or texts.get("hint", ""),
+    )
+
+
+def describe_parameters(parameters: BurstParameters) -> str:
+    """Current and pulse width for people."""
+    return f"{parameters.current_ma:.1f} mA, {parameters.mean_width_us:.0f} µs"
 
 
 class ShownLog:
@@ -254,20 +415,12 @@ class Monitor(ShownLog):
 
     # --- the status --------------------------------------------------------------------------------------
 
-    def publish(
-        self,
-        t_ns: int,
-        operator: Operator,
-        controller: Controller,
-        gate: SafetyGate,
-        stimulator: str = "",
-        *,
-        at_once: bool = False,
-    ) -> None:
+    def publish(self, t_ns: int, operator: Operator, stimulator: str, *, at_once: bool = False) -> None:
         """Send the status if 100 ms have passed, or at once; a listener that does not keep up misses frames."""
         if t_ns < self._next_ns and not at_once:
             return
         self._next_ns = t_ns + FRAME_NS
+        controller = operator.controller
         feet = {
             sensor: self.foot_status(sensor, controller, monitor.rate_hz(t_ns), min(monitor.age_ms(t_ns), 1e6))
             for sensor, monitor in self.sensors.items()

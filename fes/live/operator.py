@@ -186,7 +186,7 @@ ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 m
 def unchecked_side(phase_sensor_of: Mapping[str, str]) -> str:
     """ "left", "right" or "both": whose sensors no movement tells from the other leg's.
 
-    "" where two feet have sensors of their own, which :class:`fes.live.sides.SideCheck` watches.
+    "" where two feet have sensors of their own, which :class:`fes.live.sensor_monitor.SideCheck` watches.
     """
     sides = {foot.split("_")[0] for foot in phase_sensor_of}
     if not sides or set(FOOT_SENSORS) <= set(phase_sensor_of.values()):

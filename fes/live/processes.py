@@ -17,9 +17,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-import numpy as np
-
 LOOK_EVERY_S: Final = 0.25
+END_S: Final = 3.0
 STUCK_S: Final = 0.5  # what is still busy so long after the parent's death is stuck in a write that nobody reads
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -55,31 +54,22 @@ def _once_orphaned(parent: int, act: Callable[[], object]) -> None:
     check(0, None)  # it may have died before it was asked for
 
 
-def end_helper(process: subprocess.Popen[bytes], link: socket.socket, farewell: bytes, wait_s: float) -> None:
-    """Say over the link that the session is over; kill the process if it does not read, or not end in time."""
-    try:
-        link.settimeout(0.5)
-        link.send(farewell)
-    except OSError:
-        process.kill()  # it has ended, or does not read
-    try:
-        process.wait(wait_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    link.close()
+def joined() -> tuple[socket.socket, int, list[str]]:
+    """For a helper's main: its end of the link, its parent's number, its further arguments; Ctrl-C is the session's."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2]), sys.argv[3:]
 
 
 def start_helper(
     module: str, theirs: socket.socket, *arguments: object, also: Sequence[int] = (), **streams: Any
 ) -> subprocess.Popen[bytes]:
-    """Run a module with the number of its end of a link as first argument; this process closes that end.
+    """Run a module, which :func:`joined` tells what it is given; this process closes that end of the link.
 
     ``also``: further descriptors that it takes over; ``streams``: what becomes of its output, as Popen has it.
     """
     with theirs:
         return subprocess.Popen(
-            [sys.executable, "-m", module, *map(str, (theirs.fileno(), *arguments))],
+            [sys.executable, "-m", module, *map(str, (theirs.fileno(), os.getpid(), *arguments))],
             pass_fds=(theirs.fileno(), *also),
             stdin=subprocess.DEVNULL,
             start_new_session=True,
@@ -90,20 +80,32 @@ def start_helper(
 class HelperProcess:
     """A module that helps the session while this is entered; ``link`` takes and gives datagrams and never blocks.
 
-    It is given its end of the link, this process's number and ``arguments``; an empty datagram, or the link's end,
-    says that the session is over.
+    An empty datagram, or the link's end, says that the session is over. Further arguments: see :func:`start_helper`.
     """
 
-    def __init__(self, module: str, *arguments: str, kind: socket.SocketKind = socket.SOCK_DGRAM) -> None:
-        self.link, theirs = socket.socketpair(socket.AF_UNIX, kind)
+    farewell = b""
+
+    def __init__(self, module: str, *arguments: object, **further: Any) -> None:
+        self.link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.link.setblocking(False)
-        self.process = start_helper(module, theirs, os.getpid(), *arguments)
+        self.process = start_helper(module, theirs, *arguments, **further)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        end_helper(self.process, self.link, b"", 2.0)
+        """Say over the link that the session is over; kill the process if it does not read, or not end in time."""
+        try:
+            self.link.settimeout(0.5)
+            self.link.send(self.farewell)
+        except OSError:
+            self.process.kill()  # it has ended, or does not read
+        try:
+            self.process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.link.close()
 
 
 PRIORITY: Final = 20
@@ -161,6 +163,8 @@ def locked_memory() -> Grant:
 
 def touched_buffers() -> None:
     """Use linear algebra once: its library fetches its buffers at first use, 14 ms where memory is locked."""
+    import numpy as np  # here, for the log's writer runs without it
+
     matrix = np.arange(6000.0).reshape(1000, 6) % 7.0 + np.eye(1000, 6)
     square = matrix.T @ matrix
     np.linalg.lstsq(matrix, matrix[:, 0])

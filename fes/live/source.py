@@ -1,66 +1,351 @@
-"""The live source of events: one poll over sensors, keys, control and stop inputs; silence and stalls are events.
+"""The live source of events: lines to sensors and stimulator, and one poll over them, keys, control and stop inputs.
 
-Events come out in the order of their times, which are the host's monotonic clock when they were read. Everything that
-has queued up while the loop was away is still given on, so that nothing is lost to the estimator, with honest times:
-the gate sees by the sensors' own clocks how old it is.
+A line brings samples in the host's time and losses as events, and is opened again when it is lost. What is asked of
+devices is stated here; the commands hand them in, so that the loop knows no driver.
+
+Events come out in the order of their times, which are the host's monotonic clock when they were read; silence and
+stalls are events too. Everything that has queued up while the loop was away is still given on, so that nothing is lost
+to the estimator, with honest times: the gate sees by the sensors' own clocks how old it is.
 """
 
 import select
-from bisect import bisect_left
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from statistics import median
-from typing import Any, Final
+from typing import Final, Generic, Protocol, TypeVar
 
+from fes import limits
+from fes.control.clock_sync import BoundedClock, SensorClock
 from fes.control.runner import TICK_NS
-from fes.live.sensors import Input, SensorStream
-from fes.live.stimulator import LiveStimulator
-from fes.signals import Event, FootSwitchEvent, ImuSample, SystemFault, Tick
-from statemachine.phases import Phase, PhaseChange
-
-PAIRED_WITHIN_NS: Final = 300_000_000  # half of a quick stride
-
-
-class SwitchComparison:
-    """How a foot switch differs from the sensor's phases: contact against loading response, release against swing."""
-
-    def __init__(self) -> None:
-        self._switch: dict[tuple[str, str], list[int]] = defaultdict(list)
-        self._phase: dict[tuple[str, str], list[int]] = defaultdict(list)
-
-    def add_switch(self, event: FootSwitchEvent) -> None:
-        """The switch closed or opened."""
-        if event.pressed is not None:
-            self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
-
-    def add_phase(self, change: PhaseChange) -> None:
-        """The sensor's foot came into a phase."""
-        what = {Phase.LOADING_RESPONSE: "contact", Phase.SWING: "release"}.get(change.destination)
-        if what is not None:
-            self._phase[change.foot, what].append(change.t_ns)
-
-    def to_dict(self) -> dict[str, Any]:
-        """By foot and kind: the sensor's delay behind the switch (ms; median, least, most), and what had no pair."""
-        found: dict[str, Any] = {}
-        for (foot, what), switched in self._switch.items():
-            of_phases = sorted(self._phase[foot, what])
-            delays_ms = [delay * 1e-6 for t_ns in switched if (delay := _nearest(of_phases, t_ns)) is not None]
-            entry: dict[str, Any] = {"pairs": len(delays_ms), "switch_only": len(switched) - len(delays_ms)}
-            entry["sensor_only"] = max(len(of_phases) - len(delays_ms), 0)
-            if delays_ms:
-                entry["delay_ms"] = [round(f(delays_ms), 1) for f in (median, min, max)]
-            found.setdefault(foot, {})[what] = entry
-        return found
+from fes.live.supervision import UNSENT, SessionOpened, StimulatorLine
+from fes.signals import (
+    Event,
+    ImuSample,
+    RawSample,
+    StimAlive,
+    StimCommand,
+    StimOpened,
+    StimStatus,
+    SystemFault,
+    Tick,
+    WireFrame,
+)
 
 
-def _nearest(times_ns: list[int], t_ns: int) -> int | None:
-    """How much later than ``t_ns`` the nearest of the times is; None if none is near enough."""
-    at = bisect_left(times_ns, t_ns)
-    near = [other - t_ns for other in times_ns[max(at - 1, 0) : at + 1]]
-    best = min(near, key=abs, default=None)
-    return best if best is not None and abs(best) <= PAIRED_WITHIN_NS else None
+class Imu(Protocol):
+    """One line to one or more sensors; see ``drivers.imu``."""
+
+    @property
+    def sensors(self) -> Sequence[str]:
+        """Which sensors it brings."""
+
+    @property
+    def serials(self) -> Mapping[str, str]:
+        """By sensor, the serial number of the device there, where it tells one."""
+
+    @property
+    def notices(self) -> Sequence[str]:
+        """What the devices say of themselves that a person should know."""
+
+    def fileno(self) -> int | None:
+        """A descriptor that becomes readable with new samples; None where there is none."""
+
+    def read(self, t_ns: int) -> Sequence[RawSample]:
+        """All that has come; never waits."""
+
+    def clock_answers(self) -> Sequence[tuple[str, int, int]]:
+        """Of sensors by radio, since the last call: name, when it was asked for its time, what it said; ns."""
+
+    def reopen(self) -> None:
+        """Let go of the line and open it again; may wait, so it is called in a thread of its own."""
+
+    def close(self) -> None:
+        """Release the line."""
+
+
+class Input(Protocol):
+    """Anything else that can make something happen: keys, control messages, a stop file, a switch."""
+
+    def fileno(self) -> int | None:
+        """A descriptor to wait on; None: it is asked every turn."""
+
+    def read_events(self, t_ns: int) -> list[Event]:
+        """What it makes happen now; never waits, never raises."""
+
+
+Port = TypeVar("Port")
+
+FIRST_PAUSE_NS: Final = 250_000_000
+LONGEST_PAUSE_NS: Final = 4_000_000_000
+
+
+class Reopening(Generic[Port]):
+    """Attempts at opening something, in a thread so that the loop goes on; pauses double from 0.25 s up to 4 s."""
+
+    def __init__(self, opener: Callable[[], Port], t_ns: int) -> None:
+        self._opener = opener
+        self._pause_ns = FIRST_PAUSE_NS
+        self._next_ns = t_ns + FIRST_PAUSE_NS
+        self._thread: threading.Thread | None = None
+        self._opened: list[Port] = []
+        self.why_not = ""
+
+    def poll(self, t_ns: int) -> Port | None:
+        """Begin or collect an attempt; what was opened, once."""
+        if self._thread is not None:
+            if self._thread.is_alive():
+                return None
+            self._thread = None
+            if self._opened:
+                return self._opened.pop()
+            self._next_ns = t_ns + self._pause_ns
+            self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
+        if t_ns >= self._next_ns:
+            self._thread = threading.Thread(target=self._attempt, daemon=True)
+            self._thread.start()
+        return None
+
+    def _attempt(self) -> None:
+        try:
+            self._opened.append(self._opener())
+        except Exception as error:  # whatever a driver raises, the next attempt comes later
+            self.why_not = str(error)
+
+
+STUCK_NS: Final = 1_000_000_000  # a line, or a needed sensor on it, that was alive and is silent so long: opened again
+EMPTY_READS: Final = 10  # in a row: one of nine of a terminal waits for what the kernel still has (serial_line.Waiting)
+
+
+class SensorStream:
+    """One line: its port while it is open, attempts at opening it again while it is not.
+
+    ``clock`` makes a fresh clock: a device that was away may have restarted its own. ``lost`` is the exception that
+    says that the line is gone; the loss of ``needed`` sensors must stop the stimulation. ``by_radio``: those of which a
+    sample is given on only once it is known when it was measured at the earliest.
+    """
+
+    def __init__(
+        self,
+        port: Imu,
+        clock: Callable[[], SensorClock],
+        lost: type[Exception],
+        needed: frozenset[str],
+        by_radio: frozenset[str] = frozenset(),
+    ) -> None:
+        self.sensors = tuple(port.sensors)
+        self.serials = dict(port.serials)
+        self.port: Imu | None = port
+        self._held, self._clock, self._lost = port, clock, lost
+        self.needed = needed & set(self.sensors)
+        self._by_radio = by_radio & set(self.sensors)
+        self._clocks = self._fresh_clocks()
+        self._newest_ns: int | None = None
+        self._newest_of: dict[str, int] = {}  # by sensor, of those heard since the line was opened
+        self._attempts: Reopening[Imu] | None = None
+        self.losses = 0
+        self.why_lost = ""  # while it is lost
+
+    def fileno(self) -> int | None:
+        """Readable with samples; None while the line is lost, or where there is nothing to wait on."""
+        return None if self.port is None else self.port.fileno()
+
+    @property
+    def notices(self) -> Sequence[str]:
+        """What the devices say of themselves; of a lost line nothing."""
+        return () if self.port is None else self.port.notices
+
+    @property
+    def must_be_polled(self) -> bool:
+        """Whether the line is open and has nothing to wait on."""
+        return self.port is not None and self.port.fileno() is None
+
+    def discard(self, t_ns: int) -> Iterator[Event]:
+        """Let go of what has queued up; its arrival says nothing of when it was, so no clock may see it."""
+        self._newest_ns = None  # nor is the time that nobody listened a silence
+        self._newest_of.clear()
+        empty = 0
+        try:
+            while self.port is not None and empty < EMPTY_READS:
+                empty = 0 if self.port.read(t_ns) else empty + 1
+        except self._lost as error:
+            yield from self._lose(t_ns, str(error))
+
+    def read(self, t_ns: int, clock_ns: Callable[[], int] | None = None) -> Iterator[Event]:
+        """Samples since the last call, or the fault that the line is gone.
+
+        With ``clock_ns`` a sample counts as arrived when the reading was over: taken for earlier than it was, even
+        once, it would seem the least delayed of all, and all others old for a minute.
+        """
+        if self.port is None:
+            return
+        try:
+            raw = self.port.read(t_ns)
+        except self._lost as error:
+            yield from self._lose(t_ns, str(error))
+            return
+        took_ns = 0 if clock_ns is None or not raw else max(clock_ns() - t_ns, 0)
+        for sensor, asked_ns, said_ns in self.port.clock_answers() if self._by_radio else ():
+            asked = self._clocks[sensor]
+            if isinstance(asked, BoundedClock):
+                asked.asked(asked_ns, said_ns)
+        for sample in raw:
+            self._newest_ns = self._newest_of[sample.sensor] = t_ns
+            clock = self._clocks[sample.sensor]
+            resets = clock.resets
+            t_sensor_ns = clock.map(sample.t_host_ns + took_ns, sample.t_device_ns)
+            if clock.resets != resets and sample.sensor in self.needed:
+                # set, restarted, or all of it late for seconds: the new mapping cannot tell which, and would call late
+                # samples fresh; on a line that is opened anew nothing is queued
+                bounded = sample.sensor in self._by_radio
+                or_else = "runs off by over 200 ppm" if bounded else "all that it sends comes late"
+                yield from self._lose(t_ns, f"the clock of {sample.sensor} jumped, or {or_else}")
+                return
+            if t_sensor_ns is None:
+                continue
+            yield ImuSample(t_ns + took_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
+
+    def supervise(self, t_ns: int) -> Iterator[Event]:
+        """Notice that the line says nothing any more; go on opening a lost one."""
+        if self.port is not None:
+            if self._newest_ns is not None and t_ns - self._newest_ns >= STUCK_NS:
+                yield from self._lose(t_ns, "nothing has come for a second")
+                return
+            for sensor in self.needed:  # in stance nobody asks the gate for anything: it would not notice in time
+                if t_ns - self._newest_of.get(sensor, t_ns) >= STUCK_NS:
+                    yield from self._lose(t_ns, f"nothing has come from {sensor} for a second")
+                    return
+        elif self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
+            self.port, self._attempts, self._newest_ns, self.why_lost = port, None, None, ""
+            self._newest_of.clear()
+            self._clocks = self._fresh_clocks()
+
+    def _fresh_clocks(self) -> dict[str, SensorClock | BoundedClock]:
+        return {sensor: BoundedClock() if sensor in self._by_radio else self._clock() for sensor in self.sensors}
+
+    def close(self) -> None:
+        """Release the line."""
+        self.port = None
+        self._held.close()
+
+    def _lose(self, t_ns: int, why: str) -> Iterator[Event]:
+        self.port = None
+        self.losses += 1
+        self._attempts = Reopening(self._reopened, t_ns)
+        self.why_lost = f"{', '.join(self.sensors)}: sensor lost: {why}"[:200]
+        if self.needed:
+            yield SystemFault(t_ns, f"{', '.join(sorted(self.needed))}: sensor lost: {why}"[:200])
+
+    def _reopened(self) -> Imu:
+        self._held.reopen()
+        for sensor, serial in self._held.serials.items():
+            if serial != self.serials.get(sensor, serial):
+                self._held.close()
+                self.why_lost = f"{sensor}: sensor lost: another one answers ({serial}, it was {self.serials[sensor]})"
+                raise self._lost(self.why_lost)
+        return self._held
+
+
+class ReopenedLine(StimulatorLine, Protocol):
+    """One that can be opened again; see :class:`fes.live.supervision.SupervisedLine`."""
+
+    def open(self, t_ns: int) -> SessionOpened:
+        """Once it was closed; may wait, so it is called in a thread of its own."""
+
+
+class LiveStimulator:
+    """Wraps an open line; what it meets becomes events for the loop, stamped by ``clock_ns``, see :meth:`events`.
+
+    ``lost`` is the exception that says that it is gone; it is opened again then. ``is_open``: whether commands go out.
+    ``on_heard`` and ``on_frame`` get what belongs in the log beside commands and events.
+    """
+
+    def __init__(self, line: ReopenedLine, lost: type[Exception], clock_ns: Callable[[], int]) -> None:
+        self.is_open = True
+        self._line = line
+        self._lost = lost
+        self._clock_ns = clock_ns
+        self._attempts: Reopening[SessionOpened] | None = None
+        self._events: list[Event] = []
+        self.unsent = 0
+        self.on_heard: Callable[[int, bytes], None] = lambda t_ns, data: None
+        self.on_frame: Callable[[WireFrame], None] = lambda frame: None
+
+    @property
+    def state(self) -> str:
+        """ "open", or why it is not."""
+        if self._attempts is None:
+            return "open"
+        return f"lost, is being opened again ({self._attempts.why_not})" if self._attempts.why_not else "lost"
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write the command; a frame with identifier 0 where nothing went out.
+
+        A process that was held up between deciding and sending must not send what was right a second ago: *on* older
+        than the data it may rest on is left out and is a fault. Off always goes.
+        """
+        if self.is_open:
+            late_ns = self._clock_ns() - command.t_ns
+            if command.on and late_ns > limits.MAX_DATA_AGE_MS * 1_000_000:
+                self._events.append(SystemFault(command.t_ns, f"a command was {late_ns / 1e6:.0f} ms late, not sent"))
+            else:
+                try:
+                    frame = self._line.send(command)
+                except self._lost as error:
+                    self._lose(command.t_ns, error)
+                else:
+                    self.unsent += frame.identifier == UNSENT
+                    return frame
+        self.unsent += 1
+        return WireFrame(command.t_ns, UNSENT, b"")
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What has arrived; nothing from a line that is lost."""
+        if not self.is_open:
+            return []
+        try:
+            answers = self._line.poll(t_ns)
+        except self._lost as error:
+            self._lose(t_ns, error)
+            return []
+        if heard := self._line.heard:
+            self.on_heard(t_ns, heard)
+        return answers
+
+    def events(self, t_ns: int) -> Iterator[Event]:
+        """Losses and reopenings since the last call."""
+        if self._attempts is not None and (opened := self._attempts.poll(t_ns)) is not None:
+            self._attempts = None
+            self.is_open = True
+            for frame in opened.frames:
+                self.on_frame(frame)
+            self._events.append(StimOpened(t_ns, opened.session_id))
+        while self._events:
+            event = self._events.pop(0)
+            yield SystemFault(t_ns, event.text) if isinstance(event, SystemFault) else event
+
+    def add_fault(self, text: str) -> None:
+        """The line itself has found what forbids stimulation."""
+        self._events.append(SystemFault(0, text))
+
+    def renew(self, t_ns: int) -> None:
+        """Open the device again, under a new session identifier, though it was not lost."""
+        if self.is_open:
+            self._open_again(t_ns)
+
+    def close(self) -> None:
+        """Release the line."""
+        if self.is_open:
+            self._line.close()
+            self.is_open = False
+
+    def _open_again(self, t_ns: int) -> None:
+        self.close()
+        self._attempts = Reopening(lambda: self._line.open(self._clock_ns()), t_ns)
+
+    def _lose(self, t_ns: int, error: Exception) -> None:
+        self._open_again(t_ns)
+        self._events.append(SystemFault(t_ns, f"stimulator lost: {error}"[:200]))
 
 
 STALL_NS: Final = 40_000_000  # data must not be older when used, so a loop that was away longer has lost its ground

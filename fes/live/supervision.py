@@ -15,16 +15,15 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import socket
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from enum import IntEnum
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Protocol
 
 from fes.config import ConfigError, Session
-from fes.live.processes import end_helper, start_helper
+from fes.live.processes import HelperProcess
 from fes.session_log import Received
 from fes.session_log.codec import Rare, decode, encode
 from fes.session_log.framing import RecordType
@@ -127,6 +126,23 @@ GATHERED_BYTES: Final = MOST_BYTES // 4  # of a backlog, all of one time
 BUFFER_BYTES: Final = 1 << 20
 
 
+class StimulatorLine(Protocol):
+    """An open stimulator; see ``drivers.stimulator.port``."""
+
+    @property
+    def heard(self) -> bytes:
+        """What the last ``poll`` read, where the bytes that go out depend on that: it belongs in the log."""
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write at once."""
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What has arrived."""
+
+    def close(self) -> None:
+        """Release the line."""
+
+
 class SessionOpened(NamedTuple):
     """The stimulator's session was opened: what its handshake sent and heard, its step between two currents."""
 
@@ -137,14 +153,13 @@ class SessionOpened(NamedTuple):
 
 
 class SupervisedLine:
-    """A :class:`fes.live.sensors.StimulatorLine` whose port is the supervisor's; ``lost`` says that it is gone.
+    """A :class:`StimulatorLine` whose port is the supervisor's; ``lost`` says that it is gone.
 
     ``on_own`` gets each command that the supervisor sent by itself, with its frame, ``on_fault`` why it did.
     """
 
     def __init__(self, link: socket.socket, lost: type[Exception]) -> None:
         self.heard = b""
-        self.done_ns = 0  # when the supervisor had done what was asked last
         self.on_own: Callable[[StimCommand, WireFrame], None] = lambda command, frame: None
         self.on_fault: Callable[[str], None] = lambda text: None
         self._link, self._lost = link, lost
@@ -153,6 +168,7 @@ class SupervisedLine:
         self._since_ns = 0
         self._polled_ns: int | None = None
         self._failed = ""
+        link.setblocking(True)  # within the time that it is given
         link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
 
     def open(self, t_ns: int) -> SessionOpened:
@@ -241,7 +257,6 @@ class SupervisedLine:
             answer = unpacked(data)
             values = self._without_untold(answer, number)
             if answer.number == number:
-                self.done_ns = answer.t_ns
                 return values
 
     def _without_untold(self, answer: Datagram, number: int) -> list[Any]:
@@ -271,12 +286,11 @@ def is_due(t_ns: int, polled_ns: int | None, every_ns: int = POLL_NS) -> bool:
     return polled_ns is None or t_ns - polled_ns >= every_ns
 
 
-class SupervisorProcess:
+class SupervisorProcess(HelperProcess):
     """The supervisor's process while entered. It takes a second to start, so begin early; then :meth:`line_of`."""
 
     def __init__(self) -> None:
-        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.process = start_helper(MODULE, theirs, os.getpid())
+        super().__init__(MODULE)
         self._begun = False
 
     def line_of(
@@ -289,16 +303,12 @@ class SupervisorProcess:
     ) -> SupervisedLine:
         """The line, still to be opened, of a session: what :func:`fes.gate.gate_of` needs, and the stop file."""
         settings = {"session": session.model_dump(mode="json"), "up": dict(up), "stop_file": stop_file}
-        line, self._begun = SupervisedLine(self._link, lost), True
+        line, self._begun = SupervisedLine(self.link, lost), True
         with suppress(OSError):  # it has ended already: the opening says so
-            self._link.send(json.dumps(settings | {"shank_phase_sensors": dict(shank_phase_sensors)}).encode())
+            self.link.send(json.dumps(settings | {"shank_phase_sensors": dict(shank_phase_sensors)}).encode())
         return line
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: object) -> None:
         if not self._begun:
             self.process.kill()
-        with suppress(OSError):
-            end_helper(self.process, self._link, b"", 3.0)
+        super().__exit__(*error)

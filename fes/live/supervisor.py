@@ -18,7 +18,6 @@ from typing import Final, NamedTuple, Protocol
 from fes import limits
 from fes.gate import STOPPED, SafetyGate
 from fes.live.inputs import StopFile
-from fes.live.sensors import StimulatorLine
 from fes.live.supervision import (
     MALFORMED,
     MOST_BYTES,
@@ -26,6 +25,7 @@ from fes.live.supervision import (
     UNSENT,
     Datagram,
     LineOpened,
+    StimulatorLine,
     Value,
     What,
     datagram,

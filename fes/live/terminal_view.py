@@ -3,8 +3,6 @@
 It shows; it decides nothing.
 """
 
-import signal
-import socket
 import sys
 from typing import Final
 
@@ -14,7 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fes.live.processes import LOOK_EVERY_S, end_with, orphaned
+from fes.live.processes import LOOK_EVERY_S, end_with, joined, orphaned
 from fes.live.status import Status, TuningStatus, ground_text
 
 COLOURS: Final = {
@@ -96,13 +94,9 @@ def _number(value: float | None, digits: int) -> str:
 
 def main() -> int:
     """Show what comes until the session says that it is over, or is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = int(sys.argv[2])
+    link, parent, _ = joined()
     end_with(parent)
-    with (
-        socket.socket(fileno=int(sys.argv[1])) as link,
-        Live(console=Console(), auto_refresh=False, transient=False) as live,
-    ):
+    with link, Live(console=Console(), auto_refresh=False, transient=False) as live:
         link.settimeout(LOOK_EVERY_S)
         while not orphaned(parent):
             try:

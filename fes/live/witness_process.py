@@ -8,9 +8,6 @@ runs when nobody else wants the processor, and rests five times as long as it ha
 import json
 import os
 import select
-import signal
-import socket
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fes.live.processes import end_with, orphaned
+from fes.live.processes import end_with, joined, orphaned
 from fes.session_log.codec import SampleParts, decode_json, decode_many
 from fes.session_log.framing import LogScan, RecordType, SessionLogError
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray
@@ -69,8 +66,8 @@ def new_hearing(sensor: str, rate_hz: float) -> "Hearing":
 
 def main() -> None:
     """Until the session says that it is over, or is gone."""
-    link, parent, log = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2]), Growing(Path(sys.argv[3]))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    link, parent, (path,) = joined()
+    log = Growing(Path(path))
     end_with(parent)
     os.nice(NICE)
     hearings: dict[str, Hearing] = {}

@@ -19,7 +19,7 @@ from test_one_process import run as closed_loop
 from fes.cli import main
 from fes.cli.replay import command as replayed_log
 from fes.gate import SafetyGate
-from fes.live.sides import EXCHANGED
+from fes.live.sensor_monitor import EXCHANGED
 from fes.live.status import remedy
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord, read_session

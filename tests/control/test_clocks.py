@@ -54,7 +54,6 @@ def test_mapped_stamps_are_near_the_true_time_and_run_evenly(drift_ppm: float, d
     errors = sorted(abs(error) for error, _ in found)
     assert errors[int(0.99 * len(errors))] < 2_500_000
     assert max(abs(ppb) for _, ppb in found) <= 200_100  # 1 ns of rounding in 10 ms
-    assert clock.drift_ppm == pytest.approx(drift_ppm, abs=2.0)
     assert clock.resets == 0
 
 
@@ -107,10 +106,6 @@ def test_samples_late_for_good_begin_a_new_mapping() -> None:
         mapped_ns = clock.map(k * 10_000_000 + late_ns, k * 10_000_000)
     assert clock.resets == 1
     assert mapped_ns == pytest.approx(29_990_000_000 + 700_000_000, abs=1000)
-
-
-def test_nothing_seen_yet() -> None:
-    assert (SensorClock().offset_ns, SensorClock().drift_ppm) == (0, 0.0)
 
 
 def test_the_line_lies_under_all_points() -> None:
@@ -177,7 +172,6 @@ def test_a_delay_that_all_samples_have_is_seen_by_the_devices_answers(drift_ppm:
     assert max(off_ms) <= 0.001  # never measured later than in truth
     assert min(off_ms) >= -20.0
     assert clock.resets == 0
-    assert late_ms <= clock.uncertainty_ns / MS <= late_ms + 25.0
 
 
 @pytest.mark.requirement("SR-30")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
@@ -171,7 +172,7 @@ class Script:
         return features._replace(turned_rad=share * limits.turn_rad, toe_down_radps=share * rate), limits
 
 
-@pytest.fixture(scope="module")
+@cache
 def calibrations() -> dict[str, Calibration]:
     return calibrate_phase_sensors(trial(WALK)).calibrations
 
@@ -188,15 +189,15 @@ STOPS_NS = LAST * 1200 * MS  # its contact
 
 
 def run(
-    calibrations: dict[str, Calibration], until_ns: int, acts: Iterable[OperatorAct] = (), *,
+    until_ns: int, acts: Iterable[OperatorAct] = (), *,
     turns_after: bool = True, silent_ns: int | None = None, armed: bool = True,
 ) -> tuple[list[StimCommand], Controller]:  # fmt: skip
     """Through controller and gate; with ``silent_ns`` samples end there and ticks go on."""
     session = predicted_session()
-    controller = Controller(session, calibrations)
+    controller = Controller(session, calibrations())
     tracker = controller.trackers[FOOT]
     controller.trackers[FOOT] = cast("FootTracker", Script(tracker, LAST, turns_after=turns_after))
-    gate = gate_of(session, {FOOT: calibrations[FOOT].up})
+    gate = gate_of(session, {FOOT: calibrations()[FOOT].up})
     walk, events = trial(WALK).tracks[FOOT], list[Event]()
     first = round(WALKS_FROM_S * walk.rate_hz)
     for t_ns in range(STEP_NS, until_ns, STEP_NS):
@@ -225,10 +226,8 @@ RISE_NS = STOPS_NS + 700 * MS  # where the heel would rise
 
 
 @pytest.mark.requirement("SR-26")
-def test_a_person_who_stops_as_the_heel_is_about_to_rise_is_stimulated_for_150_ms_at_most(
-    calibrations: dict[str, Calibration],
-) -> None:
-    commands, controller = run(calibrations, STOPS_NS + 8 * NS_PER_S)
+def test_a_person_who_stops_as_the_heel_is_about_to_rise_is_stimulated_for_150_ms_at_most() -> None:
+    commands, controller = run(STOPS_NS + 8 * NS_PER_S)
     began = [b for a, b in pairwise(on_ns(commands, 0)) if b - a > 200 * MS]
     assert began[-2] % (1200 * MS) == 660 * MS  # of the stride before: 40 ms before its heel rose
     false = on_ns(commands, STOPS_NS + 200 * MS)
@@ -241,32 +240,30 @@ def test_a_person_who_stops_as_the_heel_is_about_to_rise_is_stimulated_for_150_m
 
 
 @pytest.mark.requirement("SR-26")
-def test_who_stands_still_after_walking_is_not_stimulated(calibrations: dict[str, Calibration]) -> None:
-    commands, _ = run(calibrations, STOPS_NS + 8 * NS_PER_S, turns_after=False)
+def test_who_stands_still_after_walking_is_not_stimulated() -> None:
+    commands, _ = run(STOPS_NS + 8 * NS_PER_S, turns_after=False)
     assert not on_ns(commands, STOPS_NS + 200 * MS)
 
 
 @pytest.mark.parametrize("action", [OperatorAction.EMERGENCY_STOP, OperatorAction.DISARM])
-def test_a_stop_in_the_early_part_ends_it_at_once(calibrations: dict[str, Calibration], action: OperatorAction) -> None:
+def test_a_stop_in_the_early_part_ends_it_at_once(action: OperatorAction) -> None:
     at_ns = RISE_NS - 1200 * MS - 20 * MS
-    commands, _ = run(calibrations, STOPS_NS, [OperatorAct(at_ns, action)])
+    commands, _ = run(STOPS_NS, [OperatorAct(at_ns, action)])
     assert on_ns(commands, at_ns - 30 * MS)[0] < at_ns
     assert not on_ns(commands, at_ns)
 
 
-def test_a_sensor_that_falls_silent_in_the_early_part_ends_it(calibrations: dict[str, Calibration]) -> None:
+def test_a_sensor_that_falls_silent_in_the_early_part_ends_it() -> None:
     began_ns = RISE_NS - 40 * MS
-    commands, _ = run(calibrations, STOPS_NS + 2 * NS_PER_S, silent_ns=began_ns + 20 * MS)
+    commands, _ = run(STOPS_NS + 2 * NS_PER_S, silent_ns=began_ns + 20 * MS)
     early = on_ns(commands, STOPS_NS + 200 * MS)
     assert early[0] == began_ns
     assert early[-1] <= began_ns + 20 * MS + 40 * MS
     assert any("old" in command.refused or "silent" in command.refused for command in commands)
 
 
-def test_the_gate_refuses_it_as_any_other(calibrations: dict[str, Calibration]) -> None:
-    commands, controller = run(
-        calibrations, STOPS_NS, [OperatorAct(STEP_NS, OperatorAction.SET_INTENSITY, 1.0)], armed=False
-    )
+def test_the_gate_refuses_it_as_any_other() -> None:
+    commands, controller = run(STOPS_NS, [OperatorAct(STEP_NS, OperatorAction.SET_INTENSITY, 1.0)], armed=False)
     assert controller.onsets[FOOT].in_use
     assert not on_ns(commands, 0)
     refused = [command.t_ns for command in commands if command.refused == "not armed"]
@@ -275,9 +272,7 @@ def test_the_gate_refuses_it_as_any_other(calibrations: dict[str, Calibration]) 
 
 @pytest.mark.requirement("SR-25", "SR-26")
 @pytest.mark.parametrize("why", ["disorder", "not enough strides"])
-def test_nothing_begins_early_of_whom_is_not_known_to_walk(
-    calibrations: dict[str, Calibration], monkeypatch: pytest.MonkeyPatch, why: str
-) -> None:
+def test_nothing_begins_early_of_whom_is_not_known_to_walk(monkeypatch: pytest.MonkeyPatch, why: str) -> None:
     if why == "disorder":
         monkeypatch.setattr("fes.stimulation.order.OrderJudge.in_order", False, raising=False)
         monkeypatch.setattr(
@@ -285,15 +280,15 @@ def test_nothing_begins_early_of_whom_is_not_known_to_walk(
         )
     else:
         monkeypatch.setattr("fes.stimulation.walking.WalkingJudge.walking", False)
-    commands, controller = run(calibrations, STOPS_NS)
+    commands, controller = run(STOPS_NS)
     assert all(t_ns % (1200 * MS) >= 700 * MS or t_ns % (1200 * MS) < 100 * MS for t_ns in on_ns(commands, 0))
     assert not controller.onsets[FOOT].used
 
 
-def test_what_a_person_should_know(calibrations: dict[str, Calibration]) -> None:
-    _, controller = run(calibrations, 1200 * MS)
+def test_what_a_person_should_know() -> None:
+    _, controller = run(1200 * MS)
     assert controller.notices() == [
         "right foot: onset is detected, not predicted: 0 of 10 heel rises have shown how well they are foreseen"
     ]
-    _, controller = run(calibrations, STOPS_NS)
+    _, controller = run(STOPS_NS)
     assert controller.notices() == []

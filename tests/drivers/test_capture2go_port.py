@@ -20,7 +20,7 @@ from drivers.simulated.imu.serial_wires import Air, Capture2GoWire, package
 from drivers.simulated.stimulator.in_process import DeviceLine
 from fes.config.session import ImuDevice
 from fes.control.clock_sync import SensorClock
-from fes.live.sensors import SensorStream
+from fes.live.source import SensorStream
 from fes.signals import NS_PER_S, RawSample, SystemFault
 
 MS = 1_000_000

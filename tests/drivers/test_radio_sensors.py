@@ -27,7 +27,7 @@ from drivers.simulated.imu.serial_wires import INFO, Capture2GoWire, MovellaDotW
 from drivers.simulated.stimulator.in_process import DeviceLine
 from fes.config import ImuDevice
 from fes.control.clock_sync import SensorClock
-from fes.live.sensors import SensorStream
+from fes.live.source import SensorStream
 from fes.signals import NS_PER_S, ImuSample, RawSample
 
 MS = 1_000_000

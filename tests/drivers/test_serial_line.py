@@ -10,6 +10,7 @@ import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import can
 import pytest
@@ -28,7 +29,7 @@ from drivers.stimulator.serial_line import (
     open_line,
 )
 from fes.config import Bus
-from fes.live.stimulator import LiveStimulator
+from fes.live.source import LiveStimulator, ReopenedLine
 from fes.signals import StimCommand, SystemFault
 
 
@@ -250,9 +251,8 @@ def test_an_adapter_that_does_not_read_is_named_and_nobody_waits_for_it() -> Non
 def calls_until_lost_s() -> list[float]:
     """How long each command took until an adapter that does not read was lost."""
     adapter, now_ns = Adapter(), 1_000 * MS
-    live = LiveStimulator(
-        CanStimulator(adapter.bus, 7), lambda: (_ for _ in ()).throw(OSError), StimulatorLost, lambda: now_ns
-    )
+    line = cast(ReopenedLine, CanStimulator(adapter.bus, 7))  # which nobody opens again here
+    live = LiveStimulator(line, StimulatorLost, lambda: now_ns)
     took_s: list[float] = []
     while live.is_open and len(took_s) < 20_000:
         began_s = time.monotonic()

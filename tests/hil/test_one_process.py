@@ -16,26 +16,25 @@ from rich.console import Console
 from virtual_walks import affected
 
 from drivers.simulated.stimulator.in_process import InProcessStimulator
-from fes.calibration.recording import calibrate_phase_sensors
 from fes.cli import demo as demo_loop
 from fes.cli.demo import LoopView
 from fes.cli.demo import command as demo
 from fes.cli.simulate import command
 from fes.config import Bus, StimulatorDevice, load_session, validate_session
-from fes.control.controller import Controller
-from fes.control.runner import Runner, armed_after, with_ticks
-from fes.estimation.sensor_choice import shank_phase_sensors
-from fes.gate import gate_of
-from fes.hil.closed_loop.one_process import NotifyingLog, patient, result_of, run_in_one_process
+from fes.hil.closed_loop.one_process import (
+    NotifyingLog,
+    patient,
+    result_of,
+    run_in_one_process,
+    walk_stimulated,
+)
 from fes.hil.closed_loop.processes import WALK_S, Happening, armed_protocol
 from fes.hil.settings import patient_calibration, patient_session_text
 from fes.recording import read_recording
-from fes.session_log import Note, SessionLogError, SessionWriter, read_session
-from fes.signals import NS_PER_S, Event, StimCommand, StrideResult, WireFrame
+from fes.session_log import SessionLogError, SessionWriter, read_session
+from fes.signals import NS_PER_S, StimCommand
 from fes.simulation.forward import VirtualPatient, VirtualStride, load_patient, settings_for
-from fes.simulation.forward.closed_loop import calibration_walk, patient_events
 from fes.simulation.truth import load_truth
-from statemachine.phases import PhaseChange
 
 
 def run(
@@ -229,48 +228,17 @@ def test_the_session_it_writes_is_one(tmp_path: Path, tuning: str) -> None:
 SESSION = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"
 
 
-class Wire:
-    """A log that keeps what went over the wire."""
-
-    def __init__(self) -> None:
-        self.frames: list[tuple[int, bytes]] = []
-
-    def command(self, command: StimCommand, frame: WireFrame) -> None:
-        self.frames.append((frame.t_ns, frame.data))
-
-    def event(self, event: Event) -> None: ...
-    def phase(self, change: PhaseChange) -> None: ...
-    def stride(self, result: StrideResult) -> None: ...
-    def note(self, note: Note) -> None: ...
-    def latency(self, t_ns: int, latency_ns: int) -> None: ...
-
-
-def closed_loop(seconds: float) -> tuple[VirtualPatient, Wire]:
-    settings = settings_for("severe", seed=12, sensors=("left_foot", "right_foot"))
+def test_phase_triggered_stimulation_lifts_the_foot(tmp_path: Path) -> None:
+    patient = VirtualPatient(settings_for("severe", seed=12, sensors=("left_foot", "right_foot")))
     session = load_session(SESSION)
-    found = calibrate_phase_sensors(calibration_walk(settings)).calibrations
-    patient, wire = VirtualPatient(settings), Wire()
-    stimulator = InProcessStimulator(session_id=7)
-    stimulator.start(0)
-    gate = gate_of(session, {name: each.up for name, each in found.items()}, shank_phase_sensors(found))
-    runner = Runner(Controller(session, found), gate, stimulator, wire, lambda: 0)
-    events = armed_after(with_ticks(patient_events(patient, stimulator, seconds)), 0.5, 0.75)
-    runner.run(events, lambda event: None)
-    stimulator.close()
-    return patient, wire
-
-
-def test_phase_triggered_stimulation_lifts_the_foot_and_every_run_is_the_same() -> None:
-    patient, wire = closed_loop(30.0)
+    session = session.model_copy(update={"stimulation": session.stimulation.model_copy(update={"intensity": 0.75})})
+    walk_stimulated(patient, session, 30.0, tmp_path / "x.feslog", name="x", on_sample=lambda sample: None)
     strides = affected(patient, 0)
     assert strides[0].charge_uc == 0.0  # nothing before a stride has shown that this is walking
     later = strides[8:]
     assert all(stride.charge_uc > 100.0 for stride in later)
     assert 0.01 <= median(stride.toe_clearance_m for stride in later) <= 0.03
     assert not any(stride.dragged or stride.stumbled for stride in later)
-    again, same = closed_loop(30.0)
-    assert same.frames == wire.frames
-    assert again.strides == patient.strides
 
 
 def test_the_stimulator_in_process_makes_the_pulses_that_were_commanded() -> None:

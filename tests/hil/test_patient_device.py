@@ -13,7 +13,7 @@ import pytest
 from drivers.imu import xbus
 from drivers.simulated.record import Pulse, PulseInlet, PulseOutlet, RecordEntry, pulses_of
 from drivers.simulated.stimulator.firmware import StimulatorNode
-from fes.hil.closed_loop.patient_process import HELD, PatientDevice
+from fes.hil.closed_loop.patient_process import HELD, Life, PatientDevice
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import INTERVENTIONS, intervene
@@ -89,7 +89,7 @@ def test_its_time_begins_when_it_is_told_to() -> None:
 
 
 def test_a_cycle_of_walking_and_standing_goes_on_and_on() -> None:
-    device = PatientDevice(SETTINGS, 0, cycle_s=(4.0, 2.0))
+    device = PatientDevice(SETTINGS, 0, Life((4.0, 2.0)))
     device.advance(40 * NS_PER_S, [])
     walks = device.patient.walks
     assert len(walks) >= 4
@@ -100,7 +100,7 @@ def test_a_cycle_of_walking_and_standing_goes_on_and_on() -> None:
 
 
 def test_one_who_walks_in_turns_can_be_held_standing() -> None:
-    device = PatientDevice(SETTINGS, 0, cycle_s=(5.0, 2.0))
+    device = PatientDevice(SETTINGS, 0, Life((5.0, 2.0)))
     device.advance(4 * NS_PER_S, [])
     assert len(device.patient.walks) == 1
     device.held = True
@@ -113,7 +113,7 @@ def test_one_who_walks_in_turns_can_be_held_standing() -> None:
 
 
 def test_waiting_means_waiting() -> None:
-    device = PatientDevice(SETTINGS, 0, waits=True)
+    device = PatientDevice(SETTINGS, 0, Life(waits=True))
     device.advance(20 * NS_PER_S, [])
     assert device.patient.walks == []
     intervene(device.patient, "walk")

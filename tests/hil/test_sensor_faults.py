@@ -39,7 +39,7 @@ from fes.hil.results import MS, Outputs, off_after_ms
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Moment, by_radio
 from fes.hil.sensor_faults import DUMMY_LOAD, PULSE_BY_PULSE, InjectedFaults, RealSensor
 from fes.hil.settings import FOOT, session_text
-from fes.live.sensors import Imu
+from fes.live.source import Imu
 from fes.signals import RawSample, StimStatus, Tick
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -4,7 +4,7 @@ Controller, gate, operator, monitor, runner, source and the log's encoder are th
 collection is frozen as there. Sensors, stimulator, keys and the log's file are stand-ins; two feet at 500 Hz walk and
 stand in turn, the operator arms once a minute, ends a pause, raises the intensity.
 
-    python tests/live/live_memory.py --minutes 60
+    PYTHONPATH=tests python tests/live/live_memory.py --minutes 60
 """
 
 from __future__ import annotations
@@ -16,132 +16,61 @@ import resource
 import sys
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from live_parts import EverReadable, FakeStimulator, Lost, Raw, SameClock, SetClock
 
 from drivers.simulated.imu.device import walking_signal
 from fes.config import load_session
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.estimation.warm_up import warm_up
 from fes.live.processes import frozen_garbage
-from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession, live_header
-from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.source import LiveStimulator, SensorStream
 from fes.session_log.writer import RecordBuffer
-from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, Vector3, WireFrame
+from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 RATE_HZ = 500.0
 STEP_NS = int(NS_PER_S / RATE_HZ)
-BEGIN_NS = 1_000 * NS_PER_S
 SETTLED_S = 120.0  # after so long every buffer has been filled once
 MOST_GROWTH_MB = 8.0  # in an hour
 SETTINGS = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"
 
 
-class Lost(RuntimeError):
-    """Never raised: nothing is lost here."""
+class TwoFeet(EverReadable):
+    """A sample of each foot whenever it is read; reading moves the clock on and presses keys."""
 
-
-class Clock:
-    """Stands still until it is moved on."""
-
-    now_ns = BEGIN_NS
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-
-@dataclass(frozen=True, slots=True)
-class Raw:
-    sensor: str
-    t_host_ns: int
-    t_device_ns: int
-    acc_mps2: Vector3
-    gyr_radps: Vector3
-
-
-class TwoFeet:
-    """A line with a sample of each foot whenever it is read; reading moves the clock on and presses keys."""
-
-    sensors = FOOT_SENSORS
-    notices = ()
-
-    def __init__(self, clock: Clock, keys: int, script: dict[int, bytes]) -> None:
-        self._clock, self._keys, self._script = clock, keys, script
-        self.serials: dict[str, str] = {}
+    def __init__(self, clock: SetClock, keys: int, script: dict[int, bytes]) -> None:
+        super().__init__(*FOOT_SENSORS)
+        self._clock, self._keys, self._script, self._number = clock, keys, script, 0
         self._signals = [walking_signal(sensor, RATE_HZ) for sensor in FOOT_SENSORS]
-        self._ready, self._more = os.pipe()
-        os.write(self._more, b"x")
-        self._number = -EMPTY_READS  # nothing at first: what has queued up before a session is let go
 
-    def fileno(self) -> int:
-        return self._ready
-
-    def read(self, t_ns: int) -> list[Raw]:
-        os.write(self._more, os.read(self._ready, 1))  # readable anew
+    def samples(self, t_ns: int) -> list[Raw]:
         self._number += 1
-        if self._number <= 0:
-            return []
         self._clock.now_ns += STEP_NS
         if key := self._script.get(self._number % int(60 * RATE_HZ)):
             os.write(self._keys, key)
-        t_device_ns = self._clock.now_ns - BEGIN_NS
         samples = zip(self.sensors, (signal.sample(self._number) for signal in self._signals), strict=True)
-        return [Raw(sensor, t_ns, t_device_ns, *sample) for sensor, sample in samples]
-
-    def reopen(self) -> None:
-        raise Lost
-
-    def close(self) -> None:
-        os.close(self._ready)
+        return [Raw(sensor, t_ns, t_ns, *sample) for sensor, sample in samples]
 
 
-class SameClock:
-    """The sensors run on the host's clock."""
-
-    resets = 0
-
-    def map(self, t_host_ns: int, t_device_ns: int) -> int:
-        return t_host_ns
-
-
-class Stimulator:
+class Stimulator(FakeStimulator):
     """Answers every command, and every 100 ms unasked."""
 
-    def __init__(self) -> None:
-        self._answers: list[StimStatus | StimAlive] = []
-        self._next_ns = 0
-        self._counter = 0
-        self.on = 0
-        self.heard = b""
+    next_ns = on = 0
 
     def send(self, command: StimCommand) -> WireFrame:
-        self._counter = (self._counter + 1) % 16
         self.on += command.on
-        self._answers.append(
-            StimStatus(
-                command.t_ns,
-                command.channel,
-                self._counter,
-                command.on,
-                command.current_ma,
-                command.pulse_width_us,
-                command.frequency_hz,
-            )
-        )
-        return WireFrame(command.t_ns, 0x120, bytes((command.channel, self._counter)))
+        levels = command.current_ma, command.pulse_width_us, command.frequency_hz
+        self.answers.append(StimStatus(command.t_ns, command.channel, 0, command.on, *levels))
+        return WireFrame(command.t_ns, 0x120, bytes([command.channel]))
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        answers, self._answers = self._answers, []
-        if t_ns >= self._next_ns:
-            self._next_ns = t_ns + NS_PER_S // 10
-            answers.append(StimAlive(t_ns, 1, 0))
-        return answers
-
-    def close(self) -> None:
-        pass
+        if t_ns >= self.next_ns:
+            self.next_ns = t_ns + NS_PER_S // 10
+            self.answers.append(StimAlive(t_ns, 1, 0))
+        return super().poll(t_ns)
 
 
 class CountedLog(RecordBuffer):
@@ -165,33 +94,23 @@ def rss_mb() -> float:
 
 def measure(minutes: float) -> dict[str, float]:
     session = load_session(SETTINGS)
-    devices = [
-        {
-            "sensor": sensor,
-            "device": "ximu3",
-            "port": sensor,
-            "rate_hz": RATE_HZ,
-            "acc_range_g": 16,
-            "gyr_range_dps": 2000,
-        }
-        for sensor in FOOT_SENSORS
-    ]
+    worn = {"device": "ximu3", "rate_hz": RATE_HZ, "acc_range_g": 16, "gyr_range_dps": 2000}
+    devices = [{"sensor": sensor, "port": sensor, **worn} for sensor in FOOT_SENSORS]
     session = type(session).model_validate({**session.model_dump(), "sensors": devices})
     calibrations = {}
     for sensor in FOOT_SENSORS:
         signal = walking_signal(sensor, RATE_HZ)
         t_ns = np.arange(len(signal.acc_mps2), dtype=np.int64) * STEP_NS
         calibrations[sensor] = calibrate_foot(sensor, RATE_HZ, t_ns, signal.acc_mps2, signal.gyr_radps)
-    clock, stimulator = Clock(), Stimulator()
+    clock, stimulator = SetClock(step_ns=0), Stimulator()
+    begin_ns = clock()
     reading, keys = os.pipe()
     at = int(RATE_HZ)
     script = {15 * at + 100 * k: b"+" for k in range(20)}
     script |= {30 * at: b"p", 32 * at: b"p", 40 * at: b" "}
     script |= {second * at: b"a" for second in (*range(3, 15), *range(42, 59))}  # until the feet rest
     log = CountedLog(Path("session.feslog"), live_header(session, calibrations, 1, "", clock()))
-    live = LiveSession(
-        session, calibrations, log, LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock), clock
-    )
+    live = LiveSession(session, calibrations, log, LiveStimulator(stimulator, Lost, clock), clock)
     live.add_keys(reading)
     warm_up()
     frozen_garbage()
@@ -200,7 +119,7 @@ def measure(minutes: float) -> dict[str, float]:
 
     def check() -> None:
         nonlocal next_s
-        t_s = (clock.now_ns - BEGIN_NS) / NS_PER_S
+        t_s = (clock.now_ns - begin_ns) / NS_PER_S
         if t_s >= next_s:
             next_s = t_s + 10.0
             sizes.append((t_s, rss_mb()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import pty
 import shutil
 import signal
 import struct
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,16 @@ def log(tmp_path: Path) -> Iterator[PipedLog]:
     if opened.process.poll() is None:
         opened.process.kill()
         opened.process.wait(5)
+
+
+def write(log: PipedLog, count: int = 500) -> None:
+    """So many samples are sent, and its writer has answered for them; the file may hold half a chunk before."""
+    for number in range(count):
+        log.event(sample(number))
+    log.flush()
+    while log._written < log._sent:
+        log.flush_due(time.monotonic_ns())
+        time.sleep(0.005)
 
 
 def wait_for_failure(log: PipedLog, timeout_s: float = 5.0) -> tuple[str, float]:
@@ -104,12 +116,7 @@ def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.requirement("SR-18")
 def test_a_dead_writer_is_noticed_within_a_second_and_what_it_had_is_there(log: PipedLog) -> None:
-    for number in range(500):
-        log.event(sample(number))
-    log.flush()
-    while log._written < log._sent:  # what it has answered for; the file may hold half a chunk before
-        log.flush_due(time.monotonic_ns())
-        time.sleep(0.005)
+    write(log)
     kept = log.path.stat().st_size
     os.kill(log.process.pid, signal.SIGKILL)
     said, after_s = wait_for_failure(log)
@@ -296,11 +303,7 @@ def test_a_log_that_is_removed_just_before_the_end_is_not_called_whole(log: Pipe
 
 @pytest.mark.requirement("SR-18")
 def test_a_log_that_is_cut_short_by_another_program_is_told_of(log: PipedLog) -> None:
-    for number in range(500):
-        log.event(sample(number))
-    log.flush()
-    while log._written < log._sent:
-        log.flush_due(time.monotonic_ns())
+    write(log)
     os.truncate(log.path, 1000)
     said, after_s = wait_for_failure(log)
     assert "cut short" in said
@@ -376,3 +379,56 @@ def test_a_killed_controller_loses_at_most_a_quarter_of_a_second(tmp_path: Path)
     lost_ms = (newest_ns - int(record.ticks_ns[-1])) / MS
     print(f"lost {lost_ms:.0f} ms")
     assert 0 <= lost_ms < 250
+
+
+# --- A controller that is killed leaves no view behind, whatever its terminal does ---
+
+
+CONTROLLER = """
+import sys, time
+from contextlib import suppress
+from fes.live.processes import HelperProcess
+from fes.live.status import Status
+with HelperProcess("fes.live.terminal_view") as view:
+    print(view.process.pid, file=sys.stderr, flush=True)
+    for number in range(10**9):
+        with suppress(BlockingIOError):
+            view.link.send(Status(number, "running", "x" * 400).encode())
+        time.sleep(0.01)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this machine")
+@pytest.mark.parametrize("read", [True, False], ids=["a terminal", "a terminal that is held up"])
+def test_the_view_of_a_killed_controller_ends(read: bool) -> None:
+    terminal, slave = pty.openpty()
+    controller = subprocess.Popen(
+        [sys.executable, "-c", CONTROLLER], stdout=slave, stderr=subprocess.PIPE, env=os.environ | {"TERM": "xterm"}
+    )
+    os.close(slave)
+    try:
+        assert controller.stderr is not None
+        view = int(controller.stderr.readline())
+        shown = os.read(terminal, 4096)  # it draws
+        assert shown
+        os.set_blocking(terminal, False)
+        end_s = time.monotonic() + (0.5 if read else 1.5)  # unread, the terminal is full long before
+        while time.monotonic() < end_s:
+            with suppress(BlockingIOError):
+                shown += os.read(terminal, 65536) if read else b""
+            time.sleep(0.01)
+        killed_ns = time.monotonic_ns()
+        controller.kill()
+        controller.wait(5)
+        took_s = gone_after_s([view], killed_ns)
+        print(f"gone after {took_s:.2f} s")
+        assert took_s < 1.0
+        if read:
+            with suppress(OSError):
+                while data := os.read(terminal, 65536):
+                    shown += data
+            assert shown.rpartition(b"\x1b[?25")[2][:1] == b"h", "the cursor is shown again"
+    finally:
+        controller.kill()
+        controller.wait(5)
+        os.close(terminal)

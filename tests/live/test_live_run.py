@@ -27,14 +27,13 @@ from fes.cli.common import UNUSABLE
 from fes.cli.run.command import command
 from fes.cli.run.devices import stop_switch_settings
 from fes.config import ConfigError, ImuDevice, load_session
-from fes.live.calibrating import Calibrating
 from fes.live.commands import CURRENT_ALLOWED, TABLE, Cause, OperatorCommand, SessionMachine, State
 from fes.live.commands import CommandKind as Kind
 from fes.live.inputs import Keyboard, StopFile
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import ASKED
-from fes.live.session import LiveSession
-from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.session import Calibrating, LiveSession
+from fes.live.source import LiveStimulator
 from fes.session_log import read_session
 from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, SystemFault, Vector3
 
@@ -70,31 +69,23 @@ def test_a_missing_limit_means_refusing_to_start(tmp_path: Path, limit: str) -> 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_session_without_sensors_is_refused(tmp_path: Path) -> None:
-    code, said = run(tmp_path, SETTINGS.read_text())
+@pytest.mark.parametrize(
+    ("text", "stored", "names"),
+    [
+        ("", "", "[[sensors]]"),
+        (SENSOR.replace("right", "left"), "", "right_foot"),  # which a channel follows
+        (f"\n{SENSOR}", "", "/dev/nothing-here"),
+        (f"\n{SENSOR}", "{}", "c.json"),
+    ],
+    ids=["no sensors", "a channel without one", "one that cannot be opened", "a calibration that is none"],
+)
+def test_what_cannot_run_is_refused_with_its_name(tmp_path: Path, text: str, stored: str, names: str) -> None:
+    (tmp_path / "c.json").write_text(stored)
+    options = ["--calibration", str(tmp_path / "c.json")] if stored else []
+    code, said = run(tmp_path, SETTINGS.read_text() + text, *options)
     assert code == UNUSABLE
-    assert "[[sensors]]" in said
-
-
-def test_a_channel_on_a_foot_without_a_sensor_is_refused(tmp_path: Path) -> None:
-    code, said = run(tmp_path, SETTINGS.read_text() + SENSOR.replace("right", "left"))
-    assert code == UNUSABLE
-    assert "right_foot" in said
-
-
-def test_a_sensor_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
-    code, said = run(tmp_path, f"{SETTINGS.read_text()}\n{SENSOR}")
-    assert code == UNUSABLE
-    assert "/dev/nothing-here" in said
+    assert names in said
     assert "Traceback" not in said
-
-
-def test_a_calibration_that_is_none_is_refused(tmp_path: Path) -> None:
-    other = tmp_path / "c.json"
-    other.write_text("{}")
-    code, said = run(tmp_path, f"{SETTINGS.read_text()}\n{SENSOR}", "--calibration", str(other))
-    assert code == UNUSABLE
-    assert "c.json" in said
 
 
 @pytest.mark.parametrize(
@@ -230,15 +221,6 @@ def test_without_an_arm_after_the_last_stop_there_is_no_current(causes: list[Cau
     since = causes[offs[-1] + 1 :] if offs else causes
     if Cause.ARM not in since:
         assert machine.state not in CURRENT_ALLOWED
-
-
-def test_a_session_starts_off_and_gets_ready_before_it_can_be_armed() -> None:
-    machine = SessionMachine()
-    assert machine.state is State.OFF
-    assert not machine.move(Cause.ARM)
-    assert machine.move(Cause.READY)
-    assert machine.move(Cause.ARM)
-    assert machine.state is State.ARMED
 
 
 # --- After a sensor's fault, arming asks for proof that it is gone: a tap that is seen when it happens ---
@@ -550,14 +532,10 @@ def test_a_space_anywhere_is_a_stop_and_comes_first(before: bytes, after: bytes)
 # --- The keyboard, and with it the stop key, goes in mid-session ---
 
 
-def not_again() -> Opened:
-    raise Lost("not opened again here")
-
-
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[LiveSession]:
     log = PipedLog(tmp_path / "session.feslog", {})
-    stimulator = LiveStimulator(FakeStimulator(), not_again, Lost, time.monotonic_ns)
+    stimulator = LiveStimulator(FakeStimulator(), Lost, time.monotonic_ns)
     yield LiveSession(settings(), {FOOT: CALIBRATION}, log, stimulator, time.monotonic_ns)
     log.close({})
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
-from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
+from live_parts import MS, EverReadable, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
 from test_live_operator import settings
 from test_live_stalls import Written
 
@@ -18,11 +17,9 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.live.commands import CommandKind, OperatorCommand, State
-from fes.live.sensors import EMPTY_READS, SensorStream
+from fes.live.sensor_monitor import EXCHANGED, SideCheck
 from fes.live.session import LiveSession
-from fes.live.sides import EXCHANGED, SideCheck
-from fes.live.source import LiveSource
-from fes.live.stimulator import LiveStimulator
+from fes.live.source import LiveSource, LiveStimulator, SensorStream
 from fes.recording import Recording, Track, read_recording
 from fes.recording.tracks import samples_of
 from fes.signals import (
@@ -119,39 +116,20 @@ def test_one_foot_alone_is_never_told() -> None:
     assert check.fileno() is None
 
 
-class WalkedAgain:
+class WalkedAgain(EverReadable):
     """A line that brings a recording; each reading moves the clock on to its next moment."""
 
     def __init__(self, tracks: Mapping[str, Track], clock: SetClock) -> None:
-        self.sensors = tuple(tracks)
-        self.serials: dict[str, str] = {}
-        self.notices: list[str] = []
+        super().__init__(*tracks)
         self._clock, self._begin_ns = clock, clock.now_ns
         self._moments = zip(*(rows_of(track) for track in tracks.values()), strict=True)
-        self._ready, self._more = os.pipe()
-        os.write(self._more, b"x")
-        self._unheard = EMPTY_READS
 
-    def fileno(self) -> int:
-        return self._ready
-
-    def read(self, t_ns: int) -> list[Raw]:
-        os.write(self._more, os.read(self._ready, 1))  # readable anew
-        if self._unheard:  # what has queued up before a session is let go
-            self._unheard -= 1
-            return []
+    def samples(self, t_ns: int) -> list[Raw]:
         moment = next(self._moments, None)
         if moment is None:
             return []
         self._clock.now_ns = max(self._clock.now_ns, self._begin_ns + moment[0].t_host_ns)
         return [replace(raw, t_host_ns=t_ns, t_device_ns=self._begin_ns + raw.t_device_ns) for raw in moment]
-
-    def reopen(self) -> None:
-        raise Lost
-
-    def close(self) -> None:
-        os.close(self._ready)
-        os.close(self._more)
 
 
 def rows_of(track: Track) -> list[Raw]:
@@ -176,7 +154,7 @@ def test_a_session_in_which_the_feet_are_exchanged_latches_and_cannot_be_armed(
         update={"sensors": tuple(one.sensors[0].model_copy(update={"sensor": foot}) for foot in FOOT_SENSORS)}
     )
     clock = SetClock(step_ns=1_000)
-    stimulator = LiveStimulator(Answering(), lambda: pytest.fail("it was not lost"), Lost, clock)
+    stimulator = LiveStimulator(Answering(), Lost, clock)
     log = Written(tmp_path / "session.feslog", {})
     walked = WalkedAgain(exchanged(recording.tracks) if is_exchanged else recording.tracks, clock)
     line = SensorStream(walked, SameClock, Lost, frozenset(FOOT_SENSORS))

@@ -14,9 +14,8 @@ from fes.control.clock_sync import SensorClock
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand
 from fes.live.inputs import Keyboard, StopFile
-from fes.live.sensors import Input, SensorStream
-from fes.live.source import LiveSource
-from fes.live.stimulator import UNSENT, LiveStimulator, Opened
+from fes.live.source import Input, LiveSource, LiveStimulator, SensorStream
+from fes.live.supervision import UNSENT
 from fes.signals import (
     Event,
     ImuSample,
@@ -401,18 +400,9 @@ def command(t_ns: int, *, on: bool = True) -> StimCommand:
     return StimCommand(t_ns, 0, on, 20.0 * on, 300.0 * on, 40.0 * on, 60)
 
 
-def wrapped(line: FakeStimulator, clock: SetClock, again: list[FakeStimulator] | None = None) -> LiveStimulator:
-    def reopen() -> Opened:
-        if not again:
-            raise Lost("still away")
-        return Opened(again.pop(), 4711, (WireFrame(clock.now_ns, 0x100, b"hello"),))
-
-    return LiveStimulator(line, reopen, Lost, clock)
-
-
 def test_a_command_that_has_grown_old_does_not_go_out_but_off_always_does() -> None:
     clock, line = SetClock(), FakeStimulator()
-    stimulator = wrapped(line, clock)
+    stimulator = LiveStimulator(line, Lost, clock)
     assert stimulator.send(command(clock.now_ns - 39 * MS)).identifier != UNSENT
     late = stimulator.send(command(clock.now_ns - 41 * MS))
     assert (late.identifier, late.data) == (UNSENT, b"")
@@ -425,9 +415,8 @@ def test_a_command_that_has_grown_old_does_not_go_out_but_off_always_does() -> N
 
 
 def test_a_lost_stimulator_is_one_fault_and_is_opened_again_under_another_session() -> None:
-    clock, line, again = SetClock(), FakeStimulator(broken="bus-off"), FakeStimulator()
-    spares: list[FakeStimulator] = []
-    stimulator = wrapped(line, clock, spares)
+    clock, line = SetClock(), FakeStimulator(broken="bus-off")
+    stimulator = LiveStimulator(line, Lost, clock)
     assert stimulator.send(command(clock.now_ns)).identifier == UNSENT
     assert stimulator.send(command(clock.now_ns)).identifier == UNSENT
     assert stimulator.poll(clock.now_ns) == []
@@ -438,7 +427,7 @@ def test_a_lost_stimulator_is_one_fault_and_is_opened_again_under_another_sessio
     assert fault.text == "stimulator lost: bus-off"
     frames: list[WireFrame] = []
     stimulator.on_frame = frames.append
-    spares.append(again)
+    line.broken = ""
     end_s = time.monotonic() + 5
     events: list[Event] = []
     while not events:
@@ -450,14 +439,14 @@ def test_a_lost_stimulator_is_one_fault_and_is_opened_again_under_another_sessio
     assert [frame.data for frame in frames] == [b"hello"], "the new handshake is told of too"
     assert stimulator.is_open
     stimulator.send(command(clock.now_ns, on=False))
-    assert len(again.sent) == 1
-    again.answers.append(StimAlive(1, 2, 3))
+    assert len(line.sent) == 1
+    line.answers.append(StimAlive(1, 2, 3))
     assert stimulator.poll(1) == [StimAlive(1, 2, 3)]
 
 
 def test_a_line_that_cannot_be_heard_is_lost_too() -> None:
     clock, line = SetClock(), FakeStimulator()
-    stimulator = wrapped(line, clock)
+    stimulator = LiveStimulator(line, Lost, clock)
     line.broken = "cannot be read"
     assert stimulator.poll(clock.now_ns) == []
     assert [type(event) for event in stimulator.events(clock.now_ns)] == [SystemFault]

@@ -10,14 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock
+from live_parts import MS, EverReadable, FakeStimulator, Lost, Raw, SameClock, SetClock
 from test_live_operator import CALIBRATION, FOOT, settings
 
 from fes.live.commands import State
-from fes.live.sensors import EMPTY_READS, SensorStream
 from fes.live.session import LiveSession
+from fes.live.source import LiveStimulator, SensorStream
 from fes.live.status import remedy
-from fes.live.stimulator import LiveStimulator, Opened
 from fes.session_log import SessionRecord, SessionWriter, read_session
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimAlive, StimStatus
 
@@ -30,36 +29,18 @@ class Enough(Exception):
     """The session has gone on for as long as the test needs."""
 
 
-class Standing:
-    """A line that has a sample whenever it is read; each reading moves the clock on."""
-
-    sensors = (FOOT,)
+class Standing(EverReadable):
+    """Each reading moves the clock on."""
 
     def __init__(self, clock: SetClock) -> None:
-        self.serials: dict[str, str] = {}
-        self.notices: list[str] = []
-        self._clock = clock
-        self._ready, self._more = os.pipe()
-        os.write(self._more, b"x")
-        self._number = -EMPTY_READS  # nothing at first: what has queued up before a session is let go
+        super().__init__(FOOT)
+        self._clock, self._number = clock, 0
 
-    def fileno(self) -> int:
-        return self._ready
-
-    def read(self, t_ns: int) -> list[Raw]:
-        os.write(self._more, os.read(self._ready, 1))  # readable anew
+    def samples(self, t_ns: int) -> list[Raw]:
         self._number += 1
-        if self._number <= 0:
-            return []
         self._clock.now_ns += STEP_NS
         living = 0.001 * (self._number % 7)
         return [Raw(FOOT, t_ns, t_ns, (0.0, living, 9.81), (living, 0.0, 0.0))]
-
-    def reopen(self) -> None:
-        raise Lost
-
-    def close(self) -> None:
-        os.close(self._ready)
 
 
 class Written(SessionWriter):
@@ -106,7 +87,7 @@ def run(
 ) -> tuple[SessionRecord, LiveSession]:
     """A second of a session that is armed at rest, then of what the test makes happen; its log, and itself."""
     log = Written(folder / "session.feslog", {})
-    wrapped = LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock)
+    wrapped = LiveStimulator(stimulator, Lost, clock)
     live = LiveSession(settings(), {FOOT: CALIBRATION}, log, wrapped, clock)
     begin_ns = clock.now_ns
     for command in (OperatorCommand(begin_ns + WARM_NS, OperatorAction.ARM), *commands):
@@ -186,8 +167,9 @@ BENCHMARK = Path(__file__).with_name("live_memory.py")
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc on this system")
 def test_memory_is_flat() -> None:
     done = subprocess.run(
-        [sys.executable, str(BENCHMARK), "--minutes", "2"], capture_output=True, text=True, timeout=300, check=False
-    )
+        [sys.executable, str(BENCHMARK), "--minutes", "2"], capture_output=True, text=True, timeout=300, check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["samples"] > 2 * 500 * 115

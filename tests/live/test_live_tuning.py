@@ -6,11 +6,13 @@ import json
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from replays import trial
 from rich.console import Console
 from test_tuning_controller import MS, STRIDE_MS, Walk, full, tuned_session
 
@@ -23,7 +25,7 @@ from fes.gate import gate_of
 from fes.live.commands import NEEDS_CONFIRMATION, OperatorCommand, commands_of_keys
 from fes.live.commands import CommandKind as Kind
 from fes.live.inputs import WitnessInput
-from fes.live.notices import tuning_status
+from fes.live.monitor import tuning_status
 from fes.live.operator import AGAIN_NS, Operator, Refusal, TuningCommands
 from fes.live.processes import HelperProcess
 from fes.live.status import Status, TuningStatus
@@ -37,16 +39,14 @@ from fes.witness.hearing import Hearing
 AT_NS = (5 * STRIDE_MS + 700) * MS
 
 
-@pytest.fixture(scope="module")
+@cache
 def calibrations() -> dict[str, FootCalibration]:
-    from replays import trial
-
     return calibrate_phase_sensors(trial("example_csv")).calibrations
 
 
-def dragging(mode: str, calibrations: dict[str, FootCalibration], strides: int = 6) -> Walk:
+def dragging(mode: str, strides: int = 6) -> Walk:
     """A foot whose toe is always 2 mm above the ground, the target being 12–35."""
-    return Walk(tuned_session(mode), calibrations, [0.002] * 20).until(strides, [full()])
+    return Walk(tuned_session(mode), calibrations(), [0.002] * 20).until(strides, [full()])
 
 
 def pressed(ask: Kind) -> OperatorCommand:
@@ -64,10 +64,8 @@ def test_the_keys_of_the_tuning() -> None:
     assert Kind.FREEZE_TUNING not in NEEDS_CONFIRMATION
 
 
-def test_a_suggestion_is_accepted_by_the_second_press_and_acts_from_the_next_burst_on(
-    calibrations: dict[str, FootCalibration],
-) -> None:
-    walk = dragging("suggest", calibrations)
+def test_a_suggestion_is_accepted_by_the_second_press_and_acts_from_the_next_burst_on() -> None:
+    walk = dragging("suggest")
     commands = TuningCommands(walk.controller)
     assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS) == []
     assert commands.message == "channel 0, accept: current 30.0 → 32.0 mA? y again"
@@ -80,10 +78,8 @@ def test_a_suggestion_is_accepted_by_the_second_press_and_acts_from_the_next_bur
         commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
 
 
-def test_a_second_press_too_late_or_for_something_else_only_asks_again(
-    calibrations: dict[str, FootCalibration],
-) -> None:
-    walk = dragging("suggest", calibrations)
+def test_a_second_press_too_late_or_for_something_else_only_asks_again() -> None:
+    walk = dragging("suggest")
     commands = TuningCommands(walk.controller)
     assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS) == []
     assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 1) == []
@@ -99,16 +95,14 @@ def test_a_second_press_too_late_or_for_something_else_only_asks_again(
     assert len(commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 5)) == 1
 
 
-def test_over_the_control_socket_the_messages_confirmation_is_enough(
-    calibrations: dict[str, FootCalibration],
-) -> None:
-    walk = dragging("suggest", calibrations)
+def test_over_the_control_socket_the_messages_confirmation_is_enough() -> None:
+    walk = dragging("suggest")
     acts = TuningCommands(walk.controller).execute(over_control(Kind.ACCEPT_SUGGESTION), 0, AT_NS)
     assert [act.action for act in acts] == [OperatorAction.ACCEPT_SUGGESTION]
 
 
-def test_freezing_going_on_and_rolling_back(calibrations: dict[str, FootCalibration]) -> None:
-    walk = dragging("act", calibrations)
+def test_freezing_going_on_and_rolling_back() -> None:
+    walk = dragging("act")
     commands = TuningCommands(walk.controller)
     assert walk.controller.tuning.parameters()[0].current_ma > 30.0
     with pytest.raises(Refusal, match="not frozen"):
@@ -132,11 +126,11 @@ def test_freezing_going_on_and_rolling_back(calibrations: dict[str, FootCalibrat
         commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS)
 
 
-def test_what_does_not_tune_itself_is_refused_in_words(calibrations: dict[str, FootCalibration]) -> None:
-    commands = TuningCommands(dragging("act", calibrations).controller)
+def test_what_does_not_tune_itself_is_refused_in_words() -> None:
+    commands = TuningCommands(dragging("act").controller)
     with pytest.raises(Refusal, match="channel 5 does not tune itself"):
         commands.execute(pressed(Kind.ROLL_BACK), 5, AT_NS)
-    untuned = TuningCommands(Controller(tuned_session("off"), calibrations))
+    untuned = TuningCommands(Controller(tuned_session("off"), calibrations()))
     for ask in (
         Kind.FREEZE_TUNING,
         Kind.RESUME_TUNING,
@@ -151,8 +145,8 @@ def operator_of(session: Session, controller: Controller, notes: list[Note]) -> 
     return Operator(session, controller, gate_of(session, {}), {}, {}, notes.append, lambda: None)
 
 
-def test_the_operator_carries_orders_and_notes_refusals(calibrations: dict[str, FootCalibration]) -> None:
-    walk = dragging("suggest", calibrations)
+def test_the_operator_carries_orders_and_notes_refusals() -> None:
+    walk = dragging("suggest")
     notes: list[Note] = []
     operator = operator_of(tuned_session("suggest"), walk.controller, notes)
     assert operator.execute(OperatorCommand(Kind.ACCEPT_SUGGESTION), AT_NS) == []
@@ -164,13 +158,13 @@ def test_the_operator_carries_orders_and_notes_refusals(calibrations: dict[str, 
     assert (notes[-1].severity, notes[-1].text) == ("warning", "tuning is not frozen")
 
 
-def test_the_status_tells_of_suggestion_change_reason_and_charge(calibrations: dict[str, FootCalibration]) -> None:
-    suggesting = tuning_status(dragging("suggest", calibrations).controller.tuning)["0"]
+def test_the_status_tells_of_suggestion_change_reason_and_charge() -> None:
+    suggesting = tuning_status(dragging("suggest").controller.tuning)["0"]
     assert suggesting.mode == "suggest"
     assert suggesting.suggestion == "current 30.0 → 32.0 mA"
     assert "toe clearance 2 mm (target 12–35)" in suggesting.why
     assert suggesting.last_change == ""
-    walk = dragging("act", calibrations)
+    walk = dragging("act")
     acting = tuning_status(walk.controller.tuning)["0"]
     assert (acting.suggestion, acting.why) == ("", "")
     assert "more is needed: current 34.0 → 36.0 mA" in acting.last_change
@@ -287,7 +281,7 @@ def test_the_process_says_what_lies_and_ends_with_the_session(tmp_path: Path) ->
     log_of(walked(40.0), tmp_path / "session.feslog")
     # all of the log is there at its first look: it hears once where a session hears after each stride
     arguments = "fes.live.witness_process", str(tmp_path / "session.feslog")
-    with HelperProcess(*arguments, kind=socket.SOCK_SEQPACKET) as helper:
+    with HelperProcess(*arguments) as helper:
         helper.link.settimeout(120.0)
         said = json.loads(helper.link.recv(4096))
         assert said["sensor"] == FOOT

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fes.live.commands import CommandKind as Kind
@@ -231,6 +231,8 @@ def test_a_replay_can_only_be_stopped(access: Access) -> None:
 
 
 @given(st.text() | st.builds(json.dumps, st.recursive(st.none() | st.text() | st.floats(), st.lists)))
+@example("[" * 500)
+@example('{"ask":"stop"' + " " * 1000 + "}")
 def test_nonsense_orders_nothing(text: str) -> None:
     access = Access("link", fresh())
     browser = Browser(access)
@@ -239,11 +241,6 @@ def test_nonsense_orders_nothing(text: str) -> None:
     assert not outcome.command
     assert not outcome.stop
     assert outcome.reply
-
-
-def test_deep_nesting_is_nonsense(browser: Browser) -> None:
-    assert browser.handler.handle("[" * 500, 0).reply == {"said": "not understood"}
-    assert browser.handler.handle('{"ask":"stop"' + " " * 1000 + "}", 0).reply == {"said": "not understood"}
 
 
 # --- between session and page -----------------------------------------------------------------------------

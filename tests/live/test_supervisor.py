@@ -49,6 +49,7 @@ from fes.signals import (
 )
 
 FOOT = "left_foot"
+Pair = tuple[SupervisedLine, socket.socket]
 ON_MA = 20.0
 
 
@@ -478,41 +479,44 @@ def test_the_line_opens_again_and_says_why_it_cannot() -> None:
     assert (opened.frames, opened.alive) == ((WireFrame(5, 1, b"hello"),), (StimAlive(5, 3, 0),))
 
 
-def test_settings_that_the_device_cannot_serve_are_unusable_settings() -> None:
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    """A line, and the end of its link that the test has in the supervisor's place."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
-        theirs.send(datagram(1, What.IMPOSSIBLE, 0, packed(SystemFault(0, "no such option"))))
-        with pytest.raises(ConfigError, match="no such option"):
-            SupervisedLine(ours, Lost).open(0)
+        yield SupervisedLine(ours, Lost), theirs
 
 
-def test_a_supervisor_that_does_not_answer_or_is_gone_is_a_lost_line() -> None:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours:
-        line = SupervisedLine(ours, Lost)
-        line._wait_at_most(1 * MS)
-        with pytest.raises(Lost, match="does not answer"):
-            line.poll(0)
-        theirs.send(datagram(1, What.DONE, 0, packed(StimAlive(0, 1, 0))))  # to what was given up
-        theirs.close()
-        with pytest.raises(Lost, match="new session"):
-            line.poll(100 * MS)
-        with pytest.raises(Lost, match="new session"):
-            line.send(asked_for(0))
-        line.close()
+def test_settings_that_the_device_cannot_serve_are_unusable_settings(pair: Pair) -> None:
+    line, theirs = pair
+    theirs.send(datagram(1, What.IMPOSSIBLE, 0, packed(SystemFault(0, "no such option"))))
+    with pytest.raises(ConfigError, match="no such option"):
+        line.open(0)
 
 
-def test_while_the_line_is_lost_its_gate_is_told_all_the_same() -> None:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, theirs:
-        theirs.setblocking(False)
-        line = SupervisedLine(ours, Lost)
-        told: list[Event] = [Tick(5 * k * MS) for k in range(4)]
-        for event in told:
-            line.observe(event)
-        assert unpacked(theirs.recv(4096)).values == told
-        with pytest.raises(BlockingIOError):
-            theirs.recv(4096)
+def test_a_supervisor_that_does_not_answer_or_is_gone_is_a_lost_line(pair: Pair) -> None:
+    line, theirs = pair
+    line._wait_at_most(1 * MS)
+    with pytest.raises(Lost, match="does not answer"):
+        line.poll(0)
+    theirs.send(datagram(1, What.DONE, 0, packed(StimAlive(0, 1, 0))))  # to what was given up
+    theirs.close()
+    with pytest.raises(Lost, match="new session"):
+        line.poll(100 * MS)
+    with pytest.raises(Lost, match="new session"):
+        line.send(asked_for(0))
+    line.close()
+
+
+def test_while_the_line_is_lost_its_gate_is_told_all_the_same(pair: Pair) -> None:
+    line, theirs = pair
+    theirs.setblocking(False)
+    told: list[Event] = [Tick(5 * k * MS) for k in range(4)]
+    for event in told:
+        line.observe(event)
+    assert unpacked(theirs.recv(4096)).values == told
+    with pytest.raises(BlockingIOError):
+        theirs.recv(4096)
 
 
 def test_a_backlog_of_one_time_goes_in_datagrams_that_the_supervisor_takes() -> None:
@@ -530,28 +534,24 @@ def test_a_backlog_of_one_time_goes_in_datagrams_that_the_supervisor_takes() -> 
     assert heard + data.values == backlog
 
 
-def test_opening_in_its_thread_leaves_alone_what_is_observed_meanwhile() -> None:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, theirs:
-        line = SupervisedLine(ours, Lost)
-        line.observe(Tick(1))
-        theirs.send(datagram(1, What.DONE, 0, packed(LineOpened(1, 0.5))))
-        line.open(2)
-        assert unpacked(theirs.recv(4096)).values == []
-        line.close()
-        assert unpacked(theirs.recv(4096)).values == [Tick(1)]
+def test_opening_in_its_thread_leaves_alone_what_is_observed_meanwhile(pair: Pair) -> None:
+    line, theirs = pair
+    line.observe(Tick(1))
+    theirs.send(datagram(1, What.DONE, 0, packed(LineOpened(1, 0.5))))
+    line.open(2)
+    assert unpacked(theirs.recv(4096)).values == []
+    line.close()
+    assert unpacked(theirs.recv(4096)).values == [Tick(1)]
 
 
-def test_a_supervisor_that_reads_nothing_is_told_nothing_more() -> None:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, theirs:
-        line = SupervisedLine(ours, Lost)
-        for k in range(200_000):
-            line.observe(Tick(20 * k * MS))
-            if line._failed:
-                break
-        with pytest.raises(Lost, match="does not listen"):
-            line.poll(0)
+def test_a_supervisor_that_reads_nothing_is_told_nothing_more(pair: Pair) -> None:
+    line, _ = pair
+    for k in range(200_000):
+        line.observe(Tick(20 * k * MS))
+        if line._failed:
+            break
+    with pytest.raises(Lost, match="does not listen"):
+        line.poll(0)
 
 
 def test_a_replay_looks_at_the_line_when_the_session_did() -> None:
@@ -561,9 +561,8 @@ def test_a_replay_looks_at_the_line_when_the_session_did() -> None:
     assert is_due(1, 0, every_ns=0), "an old log's"
 
 
-def test_the_wait_is_the_systems_own() -> None:
+def test_the_wait_is_the_systems_own(pair: Pair) -> None:
     """What was there before the time was over is read, however late this process is."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, theirs:
-        SupervisedLine(ours, Lost)._wait_at_most(1_500_000_000)
-        assert struct.unpack("ll", ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 16))[0] == 1
+    line, _ = pair
+    line._wait_at_most(1_500_000_000)
+    assert struct.unpack("ll", line._link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 16))[0] == 1

@@ -23,7 +23,7 @@ from drivers.simulated.imu.device import walking_signal
 from drivers.simulated.spawn import ImuKind, free_bus, spawn_imu, why_silent
 from drivers.stimulator.bus import open_bus
 from fes.control.clock_sync import SensorClock
-from fes.live.sensors import SensorStream
+from fes.live.source import SensorStream
 from fes.signals import G_MPS2, NS_PER_S, Event, ImuSample, SystemFault
 
 CLOCK_NS = 500_000  # two clocks 80 ppm apart for 3 s, and a stamp's steps of 0.1 ms

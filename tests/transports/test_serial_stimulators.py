@@ -40,6 +40,7 @@ from drivers.stimulator.open import Port, open_stimulator
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus, Channel, ConfigError, Session, StimulatorDevice, load_session
 from fes.hil.closed_loop.bench import spawn_patient
+from fes.hil.closed_loop.patient_process import Life
 from fes.signals import StimAlive, StimCommand, StimStatus
 from fes.simulation.forward import settings_for
 
@@ -364,7 +365,7 @@ START: dict[str, Callable[[Path], ProcessHandle]] = {
     "serial": lambda folder: spawn_device("sciencemode4", record=folder / "record.jsonl"),
     "sensor": lambda folder: spawn_imu("xbus"),
     "line": lambda folder: spawn_link(free_bus(LOOPBACK), front=free_bus(LOOPBACK)),
-    "patient": lambda folder: spawn_patient(folder / "pulses", WALKER),
+    "patient": lambda folder: spawn_patient(folder / "pulses", WALKER, Life()),
 }
 WALKER = settings_for("moderate", seed=3, sensors=("right_foot",), rate_hz=100.0)
 A_FAULT = {"node": "mute", "serial": "mute", "sensor": "mute", "line": "cut", "patient": "mute"}
@@ -396,7 +397,7 @@ def test_one_that_was_killed_is_gone_and_its_status_is_told(tmp_path: Path) -> N
 
 
 def test_what_a_patient_says_unasked_is_no_answer_and_none_of_it_is_lost(tmp_path: Path) -> None:
-    with spawn_patient(tmp_path / "pulses", WALKER) as patient:
+    with spawn_patient(tmp_path / "pulses", WALKER, Life()) as patient:
         strides, end_s = patient.new_strides(), time.monotonic() + 30.0
         while len(strides) < 2 and time.monotonic() < end_s:
             assert patient.punctuality()["pulses"] == 0  # an answer, whatever came before it

@@ -42,6 +42,7 @@ from fes.hil.baseline import Baseline
 from fes.hil.campaign_bench import LOST_TIME, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
 from fes.hil.closed_loop.one_process import CURRENT_MA, patient, run_in_one_process
+from fes.hil.closed_loop.patient_process import Life
 from fes.hil.closed_loop.processes import ClosedLoopRun, SwitchedOff, armed_protocol, run_between_processes
 from fes.hil.devices import start_devices
 from fes.hil.results import MS
@@ -81,7 +82,7 @@ def between_processes(folder: Path, stimulator: str) -> tuple[ClosedLoopRun, int
         place.mkdir()
         with ExitStack() as stack:
             bench = start_patient_bench(
-                patient(), place, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True
+                patient(), place, stack, Life(held=True), stimulator=stimulator, current_ma=CURRENT_MA
             )
             idle = Baseline()
             stack.callback(idle.end)
@@ -215,7 +216,7 @@ def test_between_processes_as_in_one(tmp_path: Path, stimulator: str) -> None:
 def test_the_patient_feels_what_is_delivered_and_nothing_else(tmp_path: Path, stimulator: str, fault: str) -> None:
     """Commanded by hand, then with a stimulator that delivers half of it, or nothing, whatever it is told."""
     with ExitStack() as stack:
-        bench = start_patient_bench(patient(), tmp_path, stack, stimulator=stimulator, waits=True)
+        bench = start_patient_bench(patient(), tmp_path, stack, Life(waits=True), stimulator=stimulator)
         session = load_session(bench.session)
         port = open_stimulator(session.stimulator, session, 77)
         stack.callback(port.close)
@@ -258,7 +259,7 @@ def felt_of(bench: PatientBench, port: Port) -> dict[str, float]:
 
 def test_a_patient_that_does_not_start_says_why(tmp_path: Path) -> None:
     with pytest.raises(ImuLost, match=r"did not start.*No such file"):
-        spawn_patient(tmp_path / "no" / "folder", patient())
+        spawn_patient(tmp_path / "no" / "folder", patient(), Life())
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ from fes.evaluation.log_comparison import ReplayOutput, first_difference
 from fes.gate import SafetyGate, gate_of
 from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.live.inputs import Terminal, standard_keys
-from fes.live.sensors import SensorStream
+from fes.live.source import SensorStream
 from fes.live.supervision import OWN, UNSENT, SupervisorProcess
 from fes.recording import Recording, RecordingError, read_recording
 from fes.recording.tracks import samples_of
@@ -250,7 +250,7 @@ class ReplayDashboard:
     def close(self, ended: str) -> None:
         """End the dashboard; ``ended`` says how the replay did."""
         self.log.publish(self._t_ns, time.monotonic_ns(), last=True)
-        self._process.farewell = f"The replay has ended: {ended}."
+        self._process.say_at_the_end(f"The replay has ended: {ended}.")
         self._stack.close()
 
 

@@ -245,7 +245,7 @@ def simulated(
 class RecordedSensors:
     """A recording as the line that its sensors are on: each sample comes in its time, counted from the first look.
 
-    An :class:`fes.live.sensors.Imu`, so that a replay to a real device is a live session in all else.
+    An :class:`fes.live.source.Imu`, so that a replay to a real device is a live session in all else.
     """
 
     def __init__(self, recording: Recording, sensors: Collection[str]) -> None:

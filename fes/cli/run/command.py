@@ -3,7 +3,6 @@
 The first part of a live session that was given no calibration: stand still, walk some strides.
 """
 
-import socket
 import subprocess
 import sys
 import time
@@ -40,16 +39,13 @@ from fes.config import ConfigError, Session, load_exercise, load_session, refuse
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import COMPILES, NOT_COMPILED, warm_up
-from fes.live.calibrating import Calibrating, ExerciseClock
 from fes.live.commands import CommandKind, OperatorCommand
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import sides_said, unchecked_side
 from fes.live.processes import HelperProcess, become_real_time
-from fes.live.sensors import SensorStream
-from fes.live.session import COMPLETE, LiveSession, live_header
-from fes.live.source import LiveSource
-from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.session import COMPLETE, Calibrating, ExerciseClock, LiveSession, live_header
+from fes.live.source import LiveSource, LiveStimulator, SensorStream
 from fes.live.supervision import SupervisorProcess
 from fes.session_log import Note, SessionLogError
 from fes.session_log.framing import LogScan, RecordType
@@ -316,16 +312,12 @@ def run_live(
     viewed = sys.stdout.isatty() if options.view is None else options.view
     view = stack.enter_context(HelperProcess("fes.live.terminal_view")) if viewed else None
 
-    def open_again() -> Opened:
-        opened = line.open(time.monotonic_ns())
-        return Opened(line, opened.session_id, opened.frames)
-
     def observe(event: Event) -> None:  # in a fault campaign only
         line.observe(event)
         if faults is not None:
             faults.observe(event)
 
-    stimulator = LiveStimulator(line, open_again, StimulatorLost, time.monotonic_ns)
+    stimulator = LiveStimulator(line, StimulatorLost, time.monotonic_ns)
     stack.callback(stimulator.close)
     live = LiveSession(
         session,
@@ -343,7 +335,7 @@ def run_live(
     line.on_own, line.on_fault = live.monitor.command, stimulator.add_fault
     _give_inputs(live, session, options, stop_file, folder, keys, stack)
     if session.exercise is None:
-        reads = HelperProcess("fes.live.witness_process", str(log_path), kind=socket.SOCK_SEQPACKET)
+        reads = HelperProcess("fes.live.witness_process", str(log_path))
         live.add_witness(stack.enter_context(reads))
     else:
         live.add_input(ExerciseClock(session.exercise, live.operator))
@@ -382,7 +374,7 @@ def run_live(
         except SessionLogError as error:
             ended = str(error)
     if dashboard is not None and ended != COMPLETE:
-        dashboard.farewell = f"The session has ended: {ended}. Stimulation is off."
+        dashboard.say_at_the_end(f"The session has ended: {ended}. Stimulation is off.")
     return log.path, ended
 
 

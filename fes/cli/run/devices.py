@@ -19,7 +19,7 @@ from fes.cli.common import Command, Problem, failing, need_extra
 from fes.config import ConfigError, Session, Switch
 from fes.control.clock_sync import SensorClock
 from fes.estimation.sensor_choice import phase_sensors
-from fes.live.sensors import Imu, Input, SensorStream
+from fes.live.source import Imu, Input, SensorStream
 from fes.signals import Event
 
 if TYPE_CHECKING:

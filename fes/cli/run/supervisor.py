@@ -4,7 +4,6 @@ Its first datagram are the settings, its second one asks for the stimulator to b
 """
 
 import json
-import signal
 import socket
 import sys
 import time
@@ -15,7 +14,7 @@ from drivers.stimulator.port import StimulatorLost
 from fes.config import ConfigError, validate_session
 from fes.gate import gate_of
 from fes.live.inputs import StopFile
-from fes.live.processes import end_with, fixed_priority, frozen_garbage, locked_memory
+from fes.live.processes import end_with, fixed_priority, frozen_garbage, joined, locked_memory
 from fes.live.supervision import MOST_BYTES, What, datagram, packed, unpacked
 from fes.live.supervisor import PortOpened, Supervisor, opened_values, serve
 from fes.signals import SystemFault
@@ -52,10 +51,9 @@ def run(link: socket.socket) -> int:
 
 def main() -> int:
     """Ctrl-C is the controller's business; where that is killed, this process ends too, off."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    link_fd, parent = int(sys.argv[1]), int(sys.argv[2])
+    link, parent, _ = joined()
     end_with(parent)
-    with socket.socket(fileno=link_fd) as link:
+    with link:
         return run(link)
 
 

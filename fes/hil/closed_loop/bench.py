@@ -19,6 +19,7 @@ from drivers.simulated.lines import LINE_FAULTS
 from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, ProcessHandle, spawn_device, spawn_node
 from fes.calibration.recording import save
 from fes.config import StimulatorDevice
+from fes.hil.closed_loop.patient_process import Life
 from fes.hil.settings import FOOT, PATIENT_CURRENT_MA, RATE_HZ, patient_calibration, patient_session_text
 from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
 
@@ -91,27 +92,16 @@ class PatientHandle(ProcessHandle):
         return dict(self.request({"ask": "summary"})["summary"])
 
 
-def spawn_patient(
-    pulses: Path,
-    settings: PatientSettings,
-    *,
-    cycle_s: tuple[float, float] | None = None,
-    waits: bool = False,
-    held: bool = False,
-    sensors: str = "xbus",
-) -> PatientHandle:
+def spawn_patient(pulses: Path, settings: PatientSettings, life: Life) -> PatientHandle:
     """Start ``python -m fes.hil.closed_loop.patient_process`` and wait until its time has begun.
 
-    ``pulses``: the socket that the stimulator sends its pulses to; made by the patient. ``cycle_s``: walk and stand in
-    turns, so many seconds each. ``waits``: stand until it is to walk. ``held``: its time begins with
-    :meth:`PatientHandle.begin`; until then its sensors are silent. ``sensors``: which kind, one on a line of bytes.
+    ``pulses``: the socket that the stimulator sends its pulses to; made by the patient. The time of one who is held
+    begins with :meth:`PatientHandle.begin`.
 
     ImuLost: it ended, or was not ready in time.
     """
-    arguments = ["--pulses", str(pulses), "--settings", json.dumps(asdict(settings))]
-    arguments += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
-    arguments += ["--sensors", sensors]
-    return PatientHandle([*arguments, *["--waits"] * waits, *["--held"] * held])
+    who, how = (json.dumps(asdict(each)) for each in (settings, life))
+    return PatientHandle(["--pulses", str(pulses), "--settings", who, "--life", how])
 
 
 @dataclass(slots=True)
@@ -130,24 +120,20 @@ def start_patient_bench(
     settings: PatientSettings,
     folder: Path,
     stack: ExitStack,
+    life: Life,
     *,
     stimulator: str = "can",
     current_ma: float = PATIENT_CURRENT_MA,
-    tuning: str = "act",
-    waits: bool = False,
-    held: bool = False,
-    sensors: str = "xbus",
 ) -> PatientBench:
     """Start both, calibrate on a walk of the same patient, write the session file; ``stack`` ends the processes.
 
-    The folder must exist. ``stimulator``: one of :data:`STIMULATORS`; ``current_ma``: to begin with; ``tuning``: off,
-    suggest or act; ``waits``, ``held`` and ``sensors`` as for :func:`spawn_patient`.
+    The folder must exist. ``stimulator``: one of :data:`STIMULATORS`; ``current_ma``: to begin with.
 
     Raises:
         ImuLost, StimulatorLost: one does not start.
         CalibrationError: this patient's walk does not show enough to calibrate on.
     """
-    patient, calibration, pulses = _worn(settings, folder, stack, waits=waits, held=held, sensors=sensors)
+    patient, calibration, pulses = _worn(settings, folder, stack, life)
     record = folder / "stimulator.jsonl"
     kind = STIMULATORS[stimulator]
     device: NodeHandle | DeviceHandle
@@ -159,7 +145,7 @@ def start_patient_bench(
         where, bus = StimulatorDevice.model_validate({"device": stimulator, "port": device.port}), None
     stack.callback(device.stop)
     session = folder / SESSION_NAME
-    text = patient_session_text(settings, current_ma, tuning, patient.ports, where, bus, sensors)
+    text = patient_session_text(settings, current_ma, "act", patient.ports, where, bus, life.sensors)
     session.write_text(text, encoding="utf-8")
     return PatientBench(settings, folder, session, calibration, patient, device)
 
@@ -198,23 +184,14 @@ def campaign_patient(folder: Path, stack: ExitStack, sensors: str = "xbus") -> t
     ImuLost: it does not start.
     """
     settings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
-    return _worn(settings, folder, stack, cycle_s=CYCLE_S, sensors=sensors)
+    return _worn(settings, folder, stack, Life(CYCLE_S, sensors=sensors))
 
 
-def _worn(
-    settings: PatientSettings,
-    folder: Path,
-    stack: ExitStack,
-    *,
-    cycle_s: tuple[float, float] | None = None,
-    waits: bool = False,
-    held: bool = False,
-    sensors: str = "xbus",
-) -> tuple[PatientHandle, Path, Path]:
+def _worn(settings: PatientSettings, folder: Path, stack: ExitStack, life: Life) -> tuple[PatientHandle, Path, Path]:
     calibration = folder / "patient.calibration.json"
     save(patient_calibration(settings), calibration)
     # a socket's name may have 107 bytes, less than many a folder's
     pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
-    patient = spawn_patient(pulses, settings, cycle_s=cycle_s, waits=waits, held=held, sensors=sensors)
+    patient = spawn_patient(pulses, settings, life)
     stack.callback(patient.stop)
     return patient, calibration, pulses

@@ -7,8 +7,8 @@ stride of the affected foot, and at the end ``{"summary": …}``. On stdin it ta
 
 - ``{"do": "walk"}``, and whatever else :mod:`fes.simulation.forward.closed_loop` knows, with ``value``;
 - ``{"fault": NAME, "value": NUMBER, "sensor": NAME}`` as simulated sensors do, without ``sensor`` for all of them;
-- ``{"hold": true}``: one who walks in turns (``--cycle``) stands until ``false``;
-- ``{"replug": SENSOR}``, answered with the new port; ``{"ask": "summary"}``; ``{"begin": true}`` after ``--held``.
+- ``{"hold": true}``: one who walks in turns stands until ``false``;
+- ``{"replug": SENSOR}``, answered with the new port; ``{"ask": "summary"}``; ``{"begin": true}`` to one who is held.
 
 The patient as a device has no I/O and no clock: the host's time and delivered pulses in, the messages of its worn
 sensors out. It is advanced by one sampling interval at a time, so that the same pulses give the same samples however
@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu
-from drivers.simulated.imu.serial_wires import SERIAL_WIRES, Air, on_its_line, serial_wire
+from drivers.simulated.imu.serial_wires import Air, on_its_line, serial_wire
 from drivers.simulated.lines import (
     LINE_FAULTS,
     STDIN,
@@ -72,24 +72,29 @@ class Punctuality:
         return {**asdict(self), "latest_ms": round(self.latest_ms, 3), "charge_uc": round(self.charge_uc, 3)}
 
 
+@dataclass(frozen=True, slots=True)
+class Life:
+    """How a patient lives.
+
+    ``cycle_s``: walk and stand in turns, so many seconds each; None: walk on after ``settings.stand_s``. ``waits``:
+    stand until it is to walk. ``held``: its time begins with a command; until then its sensors, of the kind
+    ``sensors``, are silent.
+    """
+
+    cycle_s: tuple[float, float] | None = None
+    waits: bool = False
+    held: bool = False
+    sensors: str = "xbus"
+
+
 class PatientDevice:
     """Call :meth:`advance` at every deadline, and :meth:`receive` for bytes from the host to a sensor.
 
-    Its time begins at the host's ``start_ns``, :data:`HELD`: with :meth:`begin`. ``cycle_s``: walk and stand in turns,
-    so many seconds each; None: walk on after ``settings.stand_s``. ``waits``: stand until it is to walk. ``sensors``:
-    which kind of sensor is worn.
+    Its time begins at the host's ``start_ns``, :data:`HELD`: with :meth:`begin`.
     """
 
-    def __init__(
-        self,
-        settings: PatientSettings,
-        start_ns: int,
-        *,
-        cycle_s: tuple[float, float] | None = None,
-        waits: bool = False,
-        sensors: str = "xbus",
-    ) -> None:
-        self._kind, self._air = sensors, Air()
+    def __init__(self, settings: PatientSettings, start_ns: int, life: Life = Life()) -> None:
+        self._kind, self._air = life.sensors, Air()
         self.patient = VirtualPatient(settings, remember_s=REMEMBERED_S)
         self.counts = Punctuality()
         self.held = False  # one who walks in turns: stand, once the steps are finished, for as long as this holds
@@ -97,10 +102,10 @@ class PatientDevice:
         self._step_ns = round(NS_PER_S / settings.rate_hz)
         self._delay_ns = round(settings.muscle.delay_s * NS_PER_S)
         self._interval = 0
-        self._cycle_s = cycle_s
+        self._cycle_s = life.cycle_s
         self._walked, self._changed_ns = False, 0
         self._read_strides = 0
-        if waits or cycle_s:
+        if life.waits or life.cycle_s:
             self.patient.stay()
         self._felt = {
             name: ImuSignal(settings.rate_hz, np.zeros((1, 3)), np.zeros((1, 3))) for name in settings.sensors
@@ -270,26 +275,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="patient_process", description="A virtual patient with worn sensors.")
     parser.add_argument("--pulses", type=Path, required=True, help="socket that delivered pulses come to")
     parser.add_argument("--settings", default="{}", help="who it is: fes.simulation.forward.PatientSettings as JSON")
-    parser.add_argument("--cycle", type=float, nargs=2, metavar=("WALK_S", "STAND_S"), help="walk and stand in turns")
-    parser.add_argument("--waits", action="store_true", help="stand until it is to walk")
-    parser.add_argument("--held", action="store_true", help="its time begins with a command, not at once")
-    parser.add_argument("--sensors", choices=SERIAL_WIRES, default="xbus", help="which kind is worn")
+    parser.add_argument("--life", default="{}", help="how it lives: Life as JSON")
     options = parser.parse_args(arguments)
     stop = stop_signals()
     try:
         settings = from_plain(json.loads(options.settings))
-        PatientDevice(settings, 0, sensors=options.sensors).advance(
-            NS_PER_S, []
-        )  # everything compiled before time begins
+        life = Life(**json.loads(options.life))
+        PatientDevice(settings, 0, Life(sensors=life.sensors)).advance(NS_PER_S, [])  # compiled before time begins
         inlet = PulseInlet(options.pulses)
     except (ValueError, TypeError, OSError) as error:
         print(f"patient_process: {error}", file=sys.stderr)
         return 2
-    cycle_s = None if options.cycle is None else (options.cycle[0], options.cycle[1])
     worn = [sensor for sensor in SENSORS if sensor in settings.sensors]
     real_time = become_real_time()
-    start_ns = HELD if options.held else time.monotonic_ns()
-    device = PatientDevice(settings, start_ns, cycle_s=cycle_s, waits=options.waits, sensors=options.sensors)
+    start_ns = HELD if life.held else time.monotonic_ns()
+    device = PatientDevice(settings, start_ns, life)
     loop = PatientLoop(device, worn, inlet, stop.fileno())
     publish_ready(ports={sensor: end.port for sensor, end in loop.ends.items()}, start_ns=start_ns, real_time=real_time)
     try:

@@ -1,9 +1,8 @@
-"""The dashboard's process: ``python -m fes.live.dashboard LISTENING_FD LINK_FD``; it decides nothing."""
+"""The dashboard's process: ``python -m fes.live.dashboard LINK_FD PARENT_PID LISTENING_FD``; it decides nothing."""
 
 import asyncio
 import os
 import secrets
-import signal
 import socket
 import sys
 import time
@@ -17,6 +16,7 @@ import uvicorn
 from fes.live.dashboard.access import Access, link_address, write_link
 from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
 from fes.live.dashboard.server import CONNECTIONS, Connection, Server
+from fes.live.processes import joined
 from fes.live.status import Status
 
 STOP: Final = b'{"ask":"stop"}'
@@ -56,7 +56,6 @@ class SessionLink:
         self._web = uvicorn.Server(uvicorn.Config(self._server.app, **WEB))
         self._presses: deque[str] = deque(maxlen=PRESSES)
         self._pending = False
-        self._goodbye: asyncio.TimerHandle | None = None
 
     async def run(self) -> None:
         """Serve until the session is over."""
@@ -108,7 +107,7 @@ class SessionLink:
             loop = asyncio.get_running_loop()
             loop.remove_reader(self._link.fileno())
             farewell_s = FAREWELL_S if self._server.browsers else 0.0
-            self._goodbye = loop.call_later(farewell_s, setattr, self._web, "should_exit", True)
+            loop.call_later(farewell_s, setattr, self._web, "should_exit", True)
 
     def _write_next_link(self) -> None:
         """The link was used: the file holds the next one."""
@@ -117,13 +116,12 @@ class SessionLink:
 
 
 def main() -> int:
-    """Serve until the session closes its end; Ctrl-C is the session's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Serve until the session closes its end."""
+    link, _, (served,) = joined()
     os.umask(0o077)
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    link, listening = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
-    with link, listening:
+    with link, socket.socket(fileno=int(served)) as listening:
         asyncio.run(SessionLink(listening, link).run())
     return 0
 

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from fes.config import Session
 from fes.estimation.sensor_choice import phase_sensors
@@ -14,11 +14,10 @@ from fes.live.dashboard.access import LOOPBACK, link_address, write_link
 from fes.live.dashboard.frames import END, hello
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.operator import INTENSITY_STEP, question_of_side, unchecked_side
-from fes.live.processes import end_helper, start_helper
+from fes.live.processes import HelperProcess
 
 LINK_NAME: Final = "page.url"
 ERRORS_NAME: Final = "page.log"
-FAREWELL: Final = "The session has ended. Stimulation is off."
 SLOW_MS: Final = 10_000
 ANSWER_WAIT_S: Final = 2.0
 
@@ -66,7 +65,7 @@ def press_stop(port: int) -> None:
         connection.close()
 
 
-class DashboardProcess:
+class DashboardProcess(HelperProcess):
     """The dashboard while entered. ``url`` opens it once; the file ``page.url`` in the folder always has the next link.
 
     For ``about`` see :func:`about_session`; port 0 takes a free one.
@@ -74,9 +73,10 @@ class DashboardProcess:
     OSError: the port is taken, or the folder cannot be written.
     """
 
+    farewell = END + b"The session has ended. Stimulation is off."
+
     def __init__(self, folder: Path, about: dict[str, Any], port: int = 0) -> None:
         token = secrets.token_urlsafe(24)
-        self.farewell = FAREWELL
         self._errors = folder / ERRORS_NAME
         self._url_file = folder / LINK_NAME
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
@@ -88,21 +88,19 @@ class DashboardProcess:
             self.port = int(listening.getsockname()[1])
             self.url = link_address(self.port, token)
             write_link(self._url_file, self.url)
-            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            with theirs, self._errors.open("wb") as errors:
+            with self._errors.open("wb") as errors:
                 served = listening.fileno()
-                self.process = start_helper(
-                    "fes.live.dashboard", theirs, served, also=(served,), stdout=errors, stderr=errors
-                )
+                super().__init__("fes.live.dashboard", served, also=(served,), stdout=errors, stderr=errors)
         # the token goes this way: a command line can be read by everybody on the machine
-        ours.send(hello({**about, "token": token, "url_file": str(self._url_file.absolute())}))
-        self.stream = DashboardStream(ours)
+        self.link.send(hello({**about, "token": token, "url_file": str(self._url_file.absolute())}))
+        self.stream = DashboardStream(self.link)
 
-    def __enter__(self) -> Self:
-        return self
+    def say_at_the_end(self, text: str) -> None:
+        """What the dashboard shows once this is left, in the place of its usual words."""
+        self.farewell = END + text.encode()
 
-    def __exit__(self, *_: object) -> None:
-        end_helper(self.process, self.stream.link, END + self.farewell.encode(), 3.0)
+    def __exit__(self, *error: object) -> None:
+        super().__exit__(*error)
         with suppress(OSError):
             self._url_file.unlink(missing_ok=True)
             if not self._errors.stat().st_size:

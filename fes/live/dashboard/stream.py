@@ -101,7 +101,7 @@ class DashboardStream:
 
 @dataclass(eq=False)
 class DashboardCommands:
-    """An input of the live session (see ``fes.live.sensors.Input``).
+    """An input of the live session (see ``fes.live.source.Input``).
 
     The dashboard's process is not trusted: of all commands only those in ALLOWED exist here, what leads to more current
     needs its confirmation again, *pause* never goes on, and however much comes, a turn executes one stop, before
