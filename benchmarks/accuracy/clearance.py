@@ -20,13 +20,13 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from benchmarks.lib.command_line import console_of, no_recordings, parser_of, publish, table_of
+from benchmarks.lib.foot_paths import FootPath, each_path, join_paths
 from benchmarks.lib.real_sets import MARKERS_HZ, STRAIGHT_RAD, data_folder, gaitmap_markers, gaitmap_walk, trials
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
     HEEL,
     TOE,
     FootArms,
-    FootPath,
     arms_of,
     clearances,
     contact_heights,
@@ -82,11 +82,10 @@ class MarkedStride:
 def walked(track: Track) -> tuple[list[StrideResult], list[FootPath]]:
     """The valid strides of one foot and their paths."""
     calibration = calibrate_track(track)
-    paths: list[FootPath] = []
-    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), watch=paths.append)
+    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up))
     tracker = FootTracker(calibration, StrideMaker(track.sensor, settings))
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return [each for each in outcomes if isinstance(each, StrideResult) and each.valid], paths
+    block = tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    return [each for each in block.strides() if each.valid], each_path(block.paths())
 
 
 @cache
@@ -133,7 +132,7 @@ def given_arms(strides: list[MarkedStride]) -> FootArms:
 
 def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
     given = given_arms(strides)
-    sole = arms_of(estimate_geometry([stride.path for stride in strides]).geometry)
+    sole = arms_of(estimate_geometry(join_paths([stride.path for stride in strides])).geometry)
     toe_up, heel_up = (float(np.median([getattr(s, name)[0, 2] for s in strides])) for name in ("toe_m", "heel_m"))
     return {
         "given": given,
@@ -151,9 +150,9 @@ def marker_rows(folder: Path) -> Iterator[Row]:
         errors = []
         for strides in sides.values():
             arms = arms_by_geometry(strides)[name]
-            levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
+            levels = contact_levels(contact_heights(join_paths([s.path for s in strides]), arms)) if anchored else None
             for stride in (stride for stride in strides if stride.straight):
-                found = clearances([stride.path], arms, levels)[0, [TOE, HEEL]]
+                found = clearances(join_paths([stride.path]), arms, levels)[0, [TOE, HEEL]]
                 errors.append(np.subtract(found, stride.truth()))
         yield _row("gaitmap_walk, markers", name, anchored, errors)
 
@@ -163,12 +162,12 @@ def trial_rows() -> Iterator[Row]:
     for kind, anchored in product(("given", "estimated"), (False, True)):
         errors = []
         for truth, geometry, paths in trial_paths():
-            arms = arms_of(estimate_geometry(paths).geometry) if kind == "estimated" else geometry
-            levels = contact_levels(contact_heights(paths, arms)) if anchored else None
+            arms = arms_of(estimate_geometry(join_paths(paths)).geometry) if kind == "estimated" else geometry
+            levels = contact_levels(contact_heights(join_paths(paths), arms)) if anchored else None
             for true in (each for each in truth if each.steady and each.walking):
                 path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
                 if path is not None:
-                    found = clearances([path], arms, levels)[0, [TOE, HEEL]]
+                    found = clearances(join_paths([path]), arms, levels)[0, [TOE, HEEL]]
                     errors.append(np.subtract(found, (true.toe_clearance_m, true.heel_clearance_m)))
         yield _row("bundled trials", kind, anchored, errors)
 

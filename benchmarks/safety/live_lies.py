@@ -43,7 +43,7 @@ from fes.recording import Track
 from fes.signals import OperatorAct, OperatorAction, StrideResult
 from fes.stimulation.order import NOTED
 from fes.walk_record import Note
-from fes.witness.hearing import Hearing
+from fes.witness.verdict import Hearing
 
 SOUND = "as it is"
 LIES: dict[str, Change] = {

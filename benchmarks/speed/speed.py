@@ -24,11 +24,10 @@ import fes
 from benchmarks.lib.real_sets import data_folder, load_run
 from benchmarks.speed.speed_bare import bare_seconds
 from benchmarks.speed.speed_row import Row
-from fes.analysis.ground_path import ground_path
+from fes.analysis.ground_path import fuse, ground_path
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
-from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import point_heights
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import FootCalibration

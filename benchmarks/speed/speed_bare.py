@@ -20,8 +20,7 @@ from fes.estimation.numerics.records import Mat, Record, Vec, new_core
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.tracking.phase_features import enter_phase
 from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, ZuptSettings, gather, gather_intervals, interval_ends
-from fes.estimation.zupt.filter import filter_intervals, new_tape
-from fes.estimation.zupt.smoother import smooth_intervals
+from fes.estimation.zupt.filter import filter_intervals, new_tape, smooth_intervals
 from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.recording import Recording
 from fes.recording.tracks import increasing

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from stepping_feet import Steps, calibration, stepping
 
+from benchmarks.lib.foot_paths import FootPath, join_paths
 from fes.analysis.hemiparetic.walk import hemiparetic_walk
 from fes.analysis.parameters.contacts import Swings, no_swings, swings_of
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS, markdown
@@ -26,7 +27,6 @@ from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_of
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.tables import by_column
 from fes.cli.main import main
-from fes.estimation.clearance.clearance import FootPath, join_paths
 from fes.estimation.events.offline import GaitEvents
 from fes.recording import Recording, read_recording
 from fes.report.tables import parameter_lines, parameter_table

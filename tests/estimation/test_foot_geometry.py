@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pivoting_foot import ARMS, arms, rotation, stride
+from pivoting_foot import ARMS, arms, geometry_of, rotation, stride
 
 from fes.estimation.clearance.geometry import (
     HEEL_BEHIND_M,
     PLAUSIBLE_HEEL_M,
     PLAUSIBLE_HEIGHT_M,
     PLAUSIBLE_TOE_M,
-    estimate_geometry,
 )
 
 FORWARD = st.floats(0.03, 0.2)
@@ -29,7 +28,7 @@ def test_the_geometry_of_a_foot_that_turns_about_toe_and_heel_is_found(
     forward: float, sole: float, height: float
 ) -> None:
     true = arms(forward, sole, height)
-    found = estimate_geometry([stride(true, landing_rad=angle) for angle in (0.3, 0.35, 0.4, 0.45)])
+    found = geometry_of([stride(true, landing_rad=angle) for angle in (0.3, 0.35, 0.4, 0.45)])
     assert found.observed, found.reason
     assert found.strides == 4
     heel = forward - sole - HEEL_BEHIND_M  # the foot here is not round: it touches the ground with its very heel
@@ -45,11 +44,11 @@ def test_the_geometry_of_a_foot_that_turns_about_toe_and_heel_is_found(
 def test_later_foot_off_as_a_session_may_ask_for_finds_the_same_toe() -> None:
     paths = [stride(ARMS, landing_rad=angle) for angle in (0.3, 0.35, 0.4)]
     later = [replace(path, foot_off_ns=(path.foot_off_ns or 0) + 40_000_000) for path in paths]
-    assert estimate_geometry(later).geometry == estimate_geometry(paths).geometry
+    assert geometry_of(later).geometry == geometry_of(paths).geometry
 
 
 def test_a_foot_that_lands_flat_shows_no_heel_and_gets_it_from_the_prior() -> None:
-    flat = estimate_geometry([stride(ARMS, landing_rad=0.02)] * 8)
+    flat = geometry_of([stride(ARMS, landing_rad=0.02)] * 8)
     assert not flat.observed
     assert "the heel shows in 0 strides" in flat.reason
     assert "toe" not in flat.reason
@@ -60,7 +59,7 @@ def test_a_foot_that_lands_flat_shows_no_heel_and_gets_it_from_the_prior() -> No
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_strides_give_the_prior(count: int) -> None:
-    found = estimate_geometry([stride(ARMS)] * count)
+    found = geometry_of([stride(ARMS)] * count)
     assert not found.observed
     assert "3 are needed" in found.reason
     assert found.geometry.toe_forward_m == pytest.approx(0.09)
@@ -79,7 +78,7 @@ def test_no_path_gives_a_wild_arm(seed: int, size: float, turn: float) -> None:
         n = len(path.t_ns)
         axes = rotation(*(turn * rng.normal(size=(3, 1)) * np.linspace(0.0, 1.0, n))) @ path.axes
         paths.append(replace(path, position_m=path.position_m + size * rng.normal(size=(n, 3)), axes=axes))
-    g = estimate_geometry(paths).geometry
+    g = geometry_of(paths).geometry
     assert PLAUSIBLE_HEIGHT_M[0] < -g.toe_up_m < PLAUSIBLE_HEIGHT_M[1]
     assert PLAUSIBLE_TOE_M[0] < g.toe_forward_m < PLAUSIBLE_TOE_M[1]
     assert PLAUSIBLE_HEEL_M[0] - 0.05 < g.heel_forward_m < PLAUSIBLE_HEEL_M[1] + 0.05  # unseen, it follows the toe
@@ -88,7 +87,7 @@ def test_no_path_gives_a_wild_arm(seed: int, size: float, turn: float) -> None:
 
 def test_an_impossible_foot_is_refused_with_a_reason() -> None:
     short = arms(0.05, 0.1, 0.06)
-    found = estimate_geometry([stride(short)] * 5)
+    found = geometry_of([stride(short)] * 5)
     assert not found.observed
     assert "apart" in found.reason
     assert 0.15 < found.geometry.toe_forward_m - found.geometry.heel_forward_m < 0.3

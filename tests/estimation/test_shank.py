@@ -18,6 +18,7 @@ from benchmarks.accuracy.shank_phases import shank_strides
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.sensor_choice import phase_sensors, shank_phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
 from fes.estimation.shank.lever_arm import ANKLE, ARM_BOUNDS_M, SHANK, ArmEstimate, ArmPrior, learn_arm
@@ -26,14 +27,12 @@ from fes.estimation.shank.motion import (
     fit_levels,
     levelled,
     moving_mean,
-    rotate_each,
     still_spans,
     stride_spans,
     swing_peaks,
     trace_of,
 )
-from fes.estimation.shank.strides import ShankIntegrationSettings
-from fes.estimation.shank.tracker import ShankTracker
+from fes.estimation.shank.tracker import ShankIntegrationSettings, ShankTracker
 from fes.estimation.tracking.phase_features import LEAST, MOST
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, ImuSample, IntArray, OperatorAct, OperatorAction, StimRequest, StrideResult
@@ -520,8 +519,8 @@ def test_levelled_puts_gravity_upright_over_the_stride() -> None:
     span = spans[4]
     quaternions = levelled(walk.t_ns, walk.acc, walk.gyr, (span.first, span.last), 5)
     assert quaternions.shape == (span.last - span.first + 11, 4)
-    up = rotate_each(quaternions, np.tile(walk.sensor_from_shank[:, 2], (len(quaternions), 1)))
-    forward = rotate_each(quaternions, np.tile(walk.sensor_from_shank[:, 0], (len(quaternions), 1)))
+    up = rotate_all(quaternions, walk.sensor_from_shank[:, 2])
+    forward = rotate_all(quaternions, walk.sensor_from_shank[:, 0])
     lean = np.degrees(np.arctan2(-forward[:, 2], up[:, 2]))
     assert lean.max() == pytest.approx(38.0, abs=1.5)
     assert lean.min() == pytest.approx(-24.0, abs=1.5)

@@ -332,11 +332,6 @@ class OnlineEvents:
         """``gyrT`` (rad/s) and ``timT`` (s) now."""
         return float(self._state["gyr_t"]), float(self._state["tim_t"])
 
-    @property
-    def typical_push_off_radps(self) -> float:
-        """The toe-down peak that the heights of our rule are shares of."""
-        return float(self._state["typical_peak"])
-
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Decision]:
         """Take samples in, give back what was decided, in order.
 

@@ -61,7 +61,6 @@ from fes.estimation.numerics.filters import (
     moving_sums,
 )
 from fes.estimation.numerics.jit import jit, jit_ieee
-from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import NS_PER_S, FloatArray, IntArray
@@ -153,25 +152,9 @@ def all_greatest_at(x: Vec, begins: Vec, ends: Vec, out: Vec) -> None:
 @jit
 def typical_falls(falls: Vec, out: Vec) -> None:
     """At each of K falls the median of the upper third of it and its neighbours: some of the peaks are not swings."""
-    near, n, end = np.empty(2 * NEIGHBOURS + 1), 0, 0  # rising
     for k in range(falls.shape[0]):
-        if k > NEIGHBOURS:  # one is no neighbour any more
-            j = 0
-            while near[j] < falls[k - NEIGHBOURS - 1]:
-                j += 1
-            n -= 1
-            while j < n:
-                near[j] = near[j + 1]
-                j += 1
-        while end < min(k + NEIGHBOURS + 1, falls.shape[0]):
-            j = n
-            while j > 0 and near[j - 1] > falls[end]:
-                near[j] = near[j - 1]
-                j -= 1
-            near[j] = falls[end]
-            n, end = n + 1, end + 1
-        upper = min(max(3, n // 3), n)
-        out[k] = 0.5 * (near[n - upper + upper // 2] + near[n - upper + (upper - 1) // 2])
+        near = np.sort(falls[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1])
+        out[k] = np.median(near[-min(max(3, near.size // 3), near.size) :])
 
 
 @jit
@@ -416,7 +399,7 @@ def gaps_in(t_ns: IntArray) -> IntArray:
     longest_ns = NS_PER_S * LONGEST_GAP_S
     if not len(steps) or steps.max() <= longest_ns:
         return np.zeros(0, np.int64)
-    return np.flatnonzero(steps > max(longest_ns, 3.5 * median(steps))) + 1
+    return np.flatnonzero(steps > max(longest_ns, 3.5 * float(np.median(steps)))) + 1
 
 
 class _Walk:
@@ -463,9 +446,10 @@ class _Walk:
         typical_falls(troughs, typical_trough)
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
         large = (falls > FALL_SHARE * typical) & (troughs > TROUGH_SHARE * typical_trough)
-        self._peak_rate = float(
-            np.sqrt(median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
-        )
+        if not large.any():
+            return falls[large], peaks[large], peaks[large]
+        brisk = _greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)
+        self._peak_rate = math.sqrt(np.median(brisk))
         # of a small fall: is it part of a movement as brisk as a step
         small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical) & ~large
         (doubtful,), around, either = np.nonzero(small), round(FALL_S * self._rate_hz), large.copy()
@@ -475,7 +459,7 @@ class _Walk:
         mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
-        self._typical_jerk = median(_greatest(s.jerk, mids, mids + reach))
+        self._typical_jerk = float(np.median(_greatest(s.jerk, mids, mids + reach)))
         return falls[either], offs, mids
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:
@@ -506,7 +490,7 @@ def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
 
 def _typical(falls: FloatArray) -> float:
     """The median of the upper third: some of the peaks are not swings."""
-    return median(np.sort(falls)[-max(3, len(falls) // 3) :])
+    return float(np.median(np.sort(falls)[-max(3, len(falls) // 3) :]))
 
 
 FLAT_RAD, FLAT_RADPS, FLAT_OVER_S = np.radians(5.0), 2.0, 0.02  # the rate is the mean over so long on either side

@@ -15,6 +15,7 @@ import numpy as np
 
 from fes.estimation.foot.calibration import CalibrationError, refuse_degrees
 from fes.estimation.foot.features import lags_at
+from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.shank.features import ShankParameters
 from fes.estimation.shank.lever_arm import SHANK, ArmEstimate, ArmPrior, learn_arm
 from fes.estimation.shank.motion import (
@@ -23,7 +24,6 @@ from fes.estimation.shank.motion import (
     StrideSpan,
     fit_levels,
     levelled,
-    rotate_each,
     still_spans,
     stride_spans,
     swing_peaks,
@@ -220,8 +220,8 @@ def _bias_by_drift(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list
 def _turn(t_ns: IntArray, quaternions: FloatArray, at: int) -> FloatArray:
     """``∫ R dt`` over a stride in the sensor frame of sample ``at``: (3, 3), rotation per rate of bias."""
     dt_s = 1e-9 * np.gradient(t_ns.astype(float))
-    columns = [(rotate_each(quaternions, np.tile(e, (len(t_ns), 1))) * dt_s[:, None]).sum(axis=0) for e in np.eye(3)]
-    return rotate_each(np.tile(quaternions[at] * CONJUGATE, (3, 1)), np.array(columns)).T
+    columns = [(rotate_all(quaternions, e) * dt_s[:, None]).sum(axis=0) for e in np.eye(3)]
+    return rotate_all(quaternions[at : at + 1 or None] * CONJUGATE, np.array(columns)).T
 
 
 def _gravity(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan]) -> tuple[FloatArray, float]:
@@ -230,7 +230,7 @@ def _gravity(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[Strid
     for span in spans:
         quaternions = levelled(t_ns, acc, gyr, (span.first, span.last))
         ups.append(turned_back(quaternions[0], UP))
-        force = rotate_each(quaternions, acc[span.first : span.last + 1])
+        force = rotate_all(quaternions, acc[span.first : span.last + 1])
         forces.append(float((force[1:] + force[:-1]).mean(axis=0)[2]) / 2.0)
     up = np.median(np.array(ups), axis=0)
     return up / np.linalg.norm(up), float(np.median(forces)) - G_MPS2

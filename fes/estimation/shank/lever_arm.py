@@ -22,8 +22,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from fes.estimation.numerics.rotation import from_gravity
-from fes.estimation.shank.motion import StrideSpan, from_rest, levelled, moving_mean, rotate_each, still_spans
+from fes.estimation.numerics.filters import moving_mean
+from fes.estimation.numerics.rotation import from_gravity, rotate_all
+from fes.estimation.shank.motion import StrideSpan, from_rest, levelled, still_spans
 from fes.estimation.strides.integration import integrate, orient
 from fes.signals import FloatArray, IntArray, Vector3
 
@@ -143,7 +144,7 @@ def _length_alone(information: FloatArray, pull: FloatArray, precision: FloatArr
 
 def _in_world(quaternions: FloatArray, rates: FloatArray) -> FloatArray:
     """``R [w]×`` (N, 3, 3): velocity in the world per metre of arm in the sensor frame."""
-    return np.stack([rotate_each(quaternions, np.cross(rates, axis)) for axis in np.eye(3)], axis=2)
+    return np.stack([rotate_all(quaternions, np.cross(rates, axis)) for axis in np.eye(3)], axis=2)
 
 
 def _shape_rows(

@@ -25,8 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fes.estimation.numerics.filters import moving_mean
 from fes.estimation.numerics.records import new_core
-from fes.estimation.numerics.rotation import from_gravity
+from fes.estimation.numerics.rotation import from_gravity, rotate_all
 from fes.estimation.shank import features
 from fes.estimation.shank.features import ShankParameters
 from fes.estimation.strides.integration import double_integral, integrate, orient
@@ -64,28 +65,9 @@ class StrideSpan:
     quiet: bool
 
 
-def moving_mean(x: FloatArray, window: int) -> FloatArray:
-    """Centred mean over ``window`` samples along the first axis, shorter at the ends, same shape."""
-    if window <= 1:
-        return x
-    total = np.cumsum(np.concatenate((np.zeros((1, *x.shape[1:])), x)), axis=0)
-    index = np.arange(len(x))
-    begin = np.maximum(index - window // 2, 0)
-    end = np.minimum(index - window // 2 + window, len(x))
-    count = (end - begin).reshape((-1,) + (1,) * (x.ndim - 1))
-    return np.asarray((total[end] - total[begin]) / count)
-
-
-def rotate_each(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Rotate each sensor vector (N, 3) by its quaternion (N, 4) into the world."""
-    axis = quaternions[:, 1:]
-    t = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + quaternions[:, :1] * t + np.cross(axis, t))
-
-
 def turned_back(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     """A vector of the world (3,) in the sensor frame, by its quaternion (4,)."""
-    return np.asarray(rotate_each(quaternion[None] * CONJUGATE, vector[None])[0])
+    return np.asarray(rotate_all(quaternion[None] * CONJUGATE, vector)[0])
 
 
 def swing_peaks(left_radps: FloatArray, rate_hz: float) -> IntArray:
@@ -182,7 +164,7 @@ def levelled(
     quaternions = np.empty((len(t), 4))
     start = np.array(from_gravity(*force.mean(axis=0)))
     orient(t, rates, start, 0.0, 0.0, 1.0, 0.0, quaternions)
-    world = rotate_each(quaternions[inner], force[inner])
+    world = rotate_all(quaternions[inner], force[inner])
     mean = (0.5 * (world[1:] + world[:-1]) * step).sum(axis=0) / step.sum()
     target = np.array([0.0, 0.0, G_MPS2])
     if change_mps is not None:

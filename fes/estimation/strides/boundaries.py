@@ -71,22 +71,21 @@ def around_ends(t_ns: Any, first: int, last: int) -> int:
 
 
 @jit_ieee
-def rows_before(t_ns: Any, n: int, at_ns: int) -> int:
-    """How many of the first ``n`` rising stamps are earlier than a time."""
-    low, high = 0, n
-    while low < high:
-        middle = (low + high) // 2
+def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
+    """Of the rising stamps from row ``begin`` on the first at or after a time, ``last`` if there is none before it."""
+    while begin < last:
+        middle = (begin + last) // 2
         if t_ns[middle] < at_ns:
-            low = middle + 1
+            begin = middle + 1
         else:
-            high = middle
-    return low
+            last = middle
+    return last
 
 
 @jit_ieee
 def quietest_of(t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, earliest_ns: int, latest_ns: int) -> int:
     """As :func:`quietest`, of the first ``n`` samples of a gyroscope with a bias."""
-    begin, end = rows_before(t_ns, n, earliest_ns), rows_before(t_ns, n, latest_ns + 1)
+    begin, end = index_at(t_ns, 0, n, earliest_ns), index_at(t_ns, 0, n, latest_ns + 1)
     if end - begin < 3:
         return min(begin, n - 1)
     period_s: float = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)

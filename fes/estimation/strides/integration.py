@@ -19,15 +19,16 @@ import math
 
 import numpy as np
 
+from fes.estimation.numerics.filters import solve
 from fes.estimation.numerics.jit import by_number, inlined, jit_fused
-from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
-from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
+from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world
 from fes.estimation.strides.boundaries import NO_REST_RADPS, around_ends, mean_and_variance
 from fes.estimation.strides.maximum_likelihood import (
     HeightNoise,
     StrideNoise,
     end_variances,
+    integrate_rates,
     maximum_likelihood,
     settle_height,
 )
@@ -45,10 +46,11 @@ def orient(
     spread evenly over the time. Returns that tilt in rad, pi where no force at all was measured.
     """
     n = t_ns.shape[0]
-    _integrate(t_ns, gyr, start, 0.0, 0.0, 0.0, out)
+    integrate_rates(t_ns, gyr, start[0], start[1], start[2], start[3], 0.0, 0.0, out)
     tilt, dx, dy = _tilt(out[n - 1], end_fx, end_fy, end_fz)
     if end_tilt_gain > 0.0 and tilt < math.pi:
-        _integrate(t_ns, gyr, start, end_tilt_gain * dx, end_tilt_gain * dy, 0.0, out)
+        dx, dy = end_tilt_gain * dx, end_tilt_gain * dy
+        integrate_rates(t_ns, gyr, start[0], start[1], start[2], start[3], dx, dy, out)
     return tilt
 
 
@@ -64,33 +66,6 @@ def _tilt(q: Vec, fx: float, fy: float, fz: float) -> tuple[float, float, float]
     tilt = math.atan2(across, uz / norm)
     by = tilt / (across * norm) if across > 1e-9 else 0.0
     return tilt, by * uy, -by * ux
-
-
-@by_number
-@jit_fused
-def _integrate(t_ns: Vec, gyr: Mat, start: Vec, dx: float, dy: float, dz: float, out: Mat) -> None:
-    """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
-    n = t_ns.shape[0]
-    span_ns = t_ns[n - 1] - t_ns[0]
-    turning = dx != 0.0 or dy != 0.0 or dz != 0.0
-    w, x, y, z = start[0], start[1], start[2], start[3]
-    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = w, x, y, z
-    for i in range(1, n):
-        dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        ex = ey = ez = 0.0
-        if turning:
-            share = (t_ns[i] - t_ns[i - 1]) / span_ns
-            ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, dz * share)
-        w, x, y, z = turn_by(
-            w,
-            x,
-            y,
-            z,
-            0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s + ex,
-            0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s + ey,
-            0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s + ez,
-        )
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
 
 
 @jit_fused

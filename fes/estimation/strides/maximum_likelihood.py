@@ -27,8 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fes.estimation.numerics.filters import solve
 from fes.estimation.numerics.jit import by_number, inlined, jit_fused
-from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
@@ -176,17 +176,33 @@ TILT, VELOCITY, GYR, ACC, CAUSES = 0, 2, 5, 8, 11
 UNKNOWN_HEIGHT_M = 1e3
 
 
+@by_number
 @jit_fused
-def _turn(t_ns: Vec, gyr: Mat, quaternion: Mat) -> None:
-    """Trapezoid integration of the rates from row 0 of ``quaternion`` (N, 4); fills all rows."""
-    w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
-    for i in range(1, t_ns.shape[0]):
+def integrate_rates(
+    t_ns: Vec, gyr: Mat, w: float, x: float, y: float, z: float, dx: float, dy: float, out: Mat
+) -> None:  # fmt: skip
+    """Trapezoid integration of the rates from an orientation into ``out`` (N, 4), plus a turn about the world's level
+    axes by ``dx`` and ``dy`` (rad) that is spread evenly over the time."""
+    n = t_ns.shape[0]
+    span_ns = t_ns[n - 1] - t_ns[0]
+    turning = dx != 0.0 or dy != 0.0
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = w, x, y, z
+    for i in range(1, n):
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        rx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s
-        ry = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s
-        rz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s
-        w, x, y, z = turn_by(w, x, y, z, rx, ry, rz)
-        quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
+        ex = ey = ez = 0.0
+        if turning:
+            share = (t_ns[i] - t_ns[i - 1]) / span_ns
+            ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, 0.0)
+        w, x, y, z = turn_by(
+            w,
+            x,
+            y,
+            z,
+            0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s + ex,
+            0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s + ey,
+            0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s + ez,
+        )
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
 
 
 @jit_fused
@@ -266,12 +282,10 @@ def maximum_likelihood(
     if n < 3 or t_ns[n - 1] <= t_ns[0]:
         return False, math.nan
     last = n - 1
-    for j in range(4):
-        quaternion[0, j] = start[j]
     for j in range(3):
         velocity[0, j] = end_velocities[0, j]
     if not oriented:
-        _turn(t_ns, gyr, quaternion)
+        integrate_rates(t_ns, gyr, start[0], start[1], start[2], start[3], 0.0, 0.0, quaternion)
     _move(t_ns, acc, quaternion, velocity, position)
 
     system = np.zeros((KNOWN, KNOWN + 2))  # covariance of what is left over, and what is left over
@@ -435,8 +449,8 @@ def _apply(
         forces[i, 2] = acc[i, 2] + cause[ACC + 2] + pz
     q0, q1, q2, q3 = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
     tx, ty, tz = to_sensor(q0, q1, q2, q3, cause[TILT], cause[TILT + 1], 0.0)
-    quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3] = quaternion_step(q0, q1, q2, q3, tx, ty, tz)
+    q0, q1, q2, q3 = quaternion_step(q0, q1, q2, q3, tx, ty, tz)
     for k in range(3):
         velocity[0, k] += cause[VELOCITY + k]
-    _turn(t_ns, rates, quaternion)
+    integrate_rates(t_ns, rates, q0, q1, q2, q3, 0.0, 0.0, quaternion)
     _move(t_ns, forces, quaternion, velocity, position)

@@ -6,16 +6,15 @@ happened to be detected, and the velocity there is that of a foot turning about 
 ``fes.estimation.strides.segmentation``.
 """
 
-import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance.clearance import FootPath, FootPaths
+from fes.estimation.clearance.clearance import FootPaths
 from fes.estimation.numerics.records import new_core
 from fes.estimation.numerics.rotation import cross
 from fes.estimation.strides import integration, segmentation
@@ -53,7 +52,6 @@ class StrideSettings:
     incline: float = 0.0
     geometry: FootGeometry | None = None
     method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
-    watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
 
     def compiled(self, foot: str) -> SegmentationSettings:
         """For the compiler, of this foot's sensor."""
@@ -102,12 +100,8 @@ class StrideMaker:
         self.core["settings"]["next_incline"] = incline
 
     def stride_in(self, out: Out) -> StrideResult:
-        """The only stride in ``out``; its path is shown to who watches."""
-        shape = out.shapes[0].copy()
-        result = _result(self.foot, out.strides[:1].tolist()[0], shape)
-        if self.settings.watch is not None and result.valid:
-            self.settings.watch(copy.deepcopy(stride_paths(out.strides, out, self.settings).each()[0]))
-        return result
+        """The only stride in ``out``."""
+        return _result(self.foot, out.strides[:1].tolist()[0], out.shapes[0].copy())
 
 
 def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:

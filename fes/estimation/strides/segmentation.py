@@ -17,9 +17,9 @@ from fes.estimation.strides.boundaries import (
     NO_REST_RADPS,
     UNSEEN_NS,
     around_ends,
+    index_at,
     mean_and_variance,
     quietest_of,
-    rows_before,
     time_of,
 )
 from fes.estimation.strides.integration import (
@@ -213,7 +213,7 @@ def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, stride_s: float, 
     if contact_ns != UNSEEN_NS:
         earliest = max(min(earliest, contact_ns + _LANDED_NS), contact_ns)
     last = quietest_of(t_ns, gyr, n, bx, by, bz, earliest, latest)
-    first = rows_before(t_ns, n, start_ns)
+    first = index_at(t_ns, 0, n, start_ns)
     if now - start_ns <= _stop_ns(stride_s) and first < last:
         around = around_ends(t_ns, first, last)
         x, y, z, _, _, _ = mean_and_variance(gyr, max(last - around, 0), min(last + around + 1, n))

@@ -17,20 +17,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.numerics.filters import likeness_of_lengths
 from fes.estimation.numerics.jit import jit, jit_fused
-from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.records import Vec
 from fes.estimation.zupt.detectors import (
     ACC_TOLERANCE_MPS2,
-    NOTHING,
     RATE_TOLERANCE_RADPS,
     WINDOW_S,
     Detector,
     rate_energy,
     statistic,
-    stillest,
     window_samples,
+    window_variances,
 )
 from fes.signals import G_MPS2, BoolArray, FloatArray, IntArray, Vector3
 
@@ -55,10 +52,14 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if shortest < 1 or count < 2 * longest:
         return 0.0
-    lags, alike = np.arange(shortest - 1, longest + 2), np.empty(longest + 3 - shortest)
-    whole = likeness_of_lengths(np.ascontiguousarray(gyr_radps), step, shortest - 1, alike)
+    size = np.sqrt(np.vecdot(gyr_radps, gyr_radps))[: count * step].reshape(count, step).mean(axis=1)
+    size -= size[0]  # so that of lengths that are all the same nothing is left, not even rounding
+    size -= size.mean()
+    whole = float(size @ size)
     if whole == 0.0:
         return 0.0
+    lags = np.arange(shortest - 1, longest + 2)
+    alike = np.array([size[lag:] @ size[: count - lag] for lag in lags.tolist()])
     alike /= whole * (1.0 - lags / count)
     inner = alike[1:-1]
     top = (inner >= alike[:-2]) & (inner >= alike[2:])
@@ -225,16 +226,15 @@ def find_zero_velocity(
         raise ValueError(f"{len(acc) / rate_hz:.1f} s is too short to tell rest from movement: record at least 2 s")
     begin, standing = _stillest(acc, gyr, n)
     standing, tolerance = standing and use_standing, _TOLERANCE[detector]
+    energy = rate_energy(gyr, rate_hz)
     if standing:
         gravity = float(np.linalg.norm(acc[begin : begin + n].mean(axis=0)))
         x, y, z = gyr[begin : begin + n].mean(axis=0).tolist()
-        bias, energy = (x, y, z), np.empty(len(acc)) if detector is Detector.SHOE else NOTHING
+        bias = x, y, z
     else:
-        energy = rate_energy(gyr, rate_hz)
-        quiet = acc.take(np.flatnonzero(energy <= percentile(energy, 15.0)), axis=0)
-        gravity, bias = median(np.sqrt(np.vecdot(quiet, quiet))), (0.0, 0.0, 0.0)
-    filled = energy if standing else NOTHING
-    values = statistic(detector, acc, gyr, rate_hz, gravity_mps2=gravity, gyr_bias_radps=bias, energy=filled)
+        quiet = acc[energy <= np.percentile(energy, 15.0)]
+        gravity, bias = float(np.median(np.sqrt(np.vecdot(quiet, quiet)))), (0.0, 0.0, 0.0)
+    values = statistic(detector, acc, gyr, rate_hz, gravity_mps2=gravity, gyr_bias_radps=bias)
     if standing:
         samples = 1 if detector is Detector.GYR else window_samples(WINDOW_S, rate_hz)
         noise = float(values[begin : begin + n].mean())
@@ -245,13 +245,16 @@ def find_zero_velocity(
     if causal:
         values = statistic(detector, acc, gyr, rate_hz, causal=True, gravity_mps2=gravity, gyr_bias_radps=bias)
     thresholds = ZeroVelocityThresholds(detector, threshold, gravity, bias, standing)
-    return thresholds, np.asarray(values < threshold), energy if len(energy) else rate_energy(gyr, rate_hz)
+    return thresholds, np.asarray(values < threshold), energy
 
 
 def _stillest(acc: FloatArray, gyr: FloatArray, n: int) -> tuple[int, bool]:
     """First sample of the stillest second, and whether it is standing."""
-    begin, turning, shaking = stillest(acc, gyr, n, max(n // 8, 1), STANDING_ACC_MPS2, STANDING_RATE_RADPS)
-    if turning >= STANDING_RATE_RADPS or shaking >= STANDING_ACC_MPS2:
+    step = max(n // 8, 1)
+    turning, shaking = (np.sqrt(window_variances(np.ascontiguousarray(x), n, step).sum(axis=1)) for x in (gyr, acc))
+    at = int(np.argmin(turning / STANDING_RATE_RADPS + shaking / STANDING_ACC_MPS2))
+    begin = step * at
+    if turning[at] >= STANDING_RATE_RADPS or shaking[at] >= STANDING_ACC_MPS2:
         return begin, False
     force, rate = acc[begin : begin + n], gyr[begin : begin + n]
     level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
