@@ -130,7 +130,7 @@ def _at(asked_ns: IntArray, known_ns: IntArray, values: FloatArray) -> FloatArra
     """Values (M,) at instants, linear between those (K,) at known ones, and as at the ends beyond them."""
     begin = known_ns[0]
     asked, known = ((np.asarray(t_ns, np.int64) - begin).astype(np.float64) for t_ns in (asked_ns, known_ns))
-    return np.interp(asked, known, values)
+    return np.asarray(np.interp(asked, known, values))
 
 
 def _headings(trajectory: Trajectory, axis: FloatArray) -> FloatArray:

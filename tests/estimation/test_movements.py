@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from fes.estimation.foot.movements import BACK, closures, contact_jumps, follow, moving_mean
+from fes.estimation.foot.movements import BACK, closures, contact_jumps, follow
+from fes.estimation.numerics.filters import moving_mean
 from fes.estimation.numerics.rotation import from_gravity, to_world, up_in_sensor
 from fes.estimation.strides.integration import integrate, orient
 from fes.signals import G_MPS2, FloatArray, IntArray

@@ -21,7 +21,7 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.sensor_choice import phase_sensors, shank_phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
-from fes.estimation.shank.lever_arm import ANKLE, ARM_BOUNDS_M, SHANK, ArmEstimate, ArmPrior, learn_arm
+from fes.estimation.shank.lever_arm import ARM_BOUNDS_M, SHANK, ArmEstimate, learn_arm
 from fes.estimation.shank.motion import (
     ShankLevels,
     fit_levels,
@@ -293,10 +293,8 @@ def test_what_is_no_walking_does_not_stimulate(what: str) -> None:
 # --- Shank strides on an inverted pendulum with exact truth: reset, lever arm, calibration, stairs ---
 
 
-def calibrated(walk: ShankWalk, *, prior: ArmPrior = SHANK) -> ShankCalibration:
-    return calibrate_shank(
-        "left_shank", walk.rate_hz, walk.t_ns, walk.acc, walk.gyr, prior=prior, level=walk.rise_m == 0.0
-    )
+def calibrated(walk: ShankWalk) -> ShankCalibration:
+    return calibrate_shank("left_shank", walk.rate_hz, walk.t_ns, walk.acc, walk.gyr, level=walk.rise_m == 0.0)
 
 
 def strides(walk: ShankWalk, calibration: ShankCalibration, arm: FloatArray | None) -> list[StrideResult]:
@@ -314,8 +312,8 @@ def true_arm(walk: ShankWalk) -> FloatArray:
     return np.asarray(walk.sensor_from_shank @ walk.arm_m)
 
 
-def estimate(walk: ShankWalk, prior: ArmPrior = SHANK) -> ArmEstimate:
-    return calibrated(walk, prior=prior).arm
+def estimate(walk: ShankWalk) -> ArmEstimate:
+    return calibrated(walk).arm
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -390,14 +388,6 @@ def test_standing_on_a_belt_that_starts_is_no_rest_to_start_from() -> None:
     assert arm.anchored == 0
     assert arm.windows > 0
     assert estimate(shank_walk(strides=30, seed=5, standing_s=2.0)).anchored == 0  # too long to be integrated at once
-
-
-def test_an_ankle_sensor_with_its_own_prior() -> None:
-    walk = shank_walk(arm_m=(0.0, 0.02, 0.12), seed=6)
-    calibration = calibrated(walk, prior=ANKLE)
-    assert calibration.arm.length_m == pytest.approx(0.12, abs=0.02)
-    results = strides(walk, calibration, np.array(calibration.arm.arm_m))
-    assert mean_length(results) == pytest.approx(walk.stride_length_m, rel=0.015)
 
 
 def test_nothing_to_learn_from_falls_back_to_the_prior_and_says_why() -> None:

@@ -40,6 +40,7 @@ from itertools import pairwise
 import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.numerics.filters import runs
 from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.orientation.body import smooth_orientation
 from fes.recording import Track
@@ -61,12 +62,6 @@ def energy(acc_world_mps2: FloatArray, rate_hz: float) -> FloatArray:
     each = np.einsum("ij,ij->i", acc_world_mps2, acc_world_mps2)
     known = np.convolve(np.ones(len(each)), np.ones(count), "same")
     return np.asarray(np.convolve(each, np.ones(count), "same") / known)
-
-
-def runs(inside: BoolArray) -> IntArray:
-    """Stretches (K, 2) of True: first sample, and one past the last."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
-    return np.column_stack((edges[0::2], edges[1::2])).astype(np.int64)
 
 
 def between(windows: IntArray) -> IntArray:

@@ -307,17 +307,17 @@ def feet_of(analysis: Analysis) -> dict[str, Foot]:
     return found
 
 
-def windows_of(feet: Mapping[str, Foot], healthy: str, threshold_m2ps4: float | None = None) -> Windows:
+def windows_of(feet: Mapping[str, Foot], healthy: str) -> Windows:
     """Wang et al.'s windows and reconstruction of both feet.
 
-    ``feet`` are by name, on common instants; ``threshold_m2ps4`` is that of both, None: fitted to each.
+    ``feet`` are by name, on common instants; the threshold is fitted to each.
 
     Raises:
         ValueError: the healthy foot shows fewer than three windows.
     """
     other = next(name for name in feet if name != healthy)
     energies = {name: energy(foot.acc_mps2, foot.rate_hz) for name, foot in feet.items()}
-    thresholds = {name: threshold_m2ps4 or fitted_threshold(values) for name, values in energies.items()}
+    thresholds = {name: fitted_threshold(values) for name, values in energies.items()}
     own = still_windows(energies[healthy], thresholds[healthy])
     if len(own) < 3:
         raise ValueError(f"{healthy}: {len(own)} zero-velocity windows at {thresholds[healthy]:.3f} m²/s⁴")

@@ -59,6 +59,7 @@ from fes.estimation.numerics.filters import (
     filter_backwards,
     low_pass,
     moving_sums,
+    runs,
 )
 from fes.estimation.numerics.jit import jit, jit_ieee
 from fes.estimation.numerics.records import Mat, Vec
@@ -140,13 +141,6 @@ def greatest_at(x: Vec, begin: int, end: int) -> int:
         if x[i] > greatest:
             at, greatest = i, x[i]
     return at
-
-
-@jit
-def all_greatest_at(x: Vec, begins: Vec, ends: Vec, out: Vec) -> None:
-    """As :func:`greatest_at` of K spans."""
-    for k in range(begins.shape[0]):
-        out[k] = greatest_at(x, begins[k], ends[k])
 
 
 @jit
@@ -472,15 +466,12 @@ class _Walk:
 
     def _rests(self, begin: int, end: int) -> bool:
         quiet = self._signals.energy[begin : max(begin, end)] < (REST_SHARE * self._peak_rate) ** 2
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], quiet.astype(np.int8), [0]))))
-        return bool(len(edges)) and int((edges[1::2] - edges[0::2]).max()) >= REST_S * self._rate_hz
+        return int(np.diff(runs(quiet)).max(initial=0)) >= REST_S * self._rate_hz
 
 
 def _greatest_at(x: FloatArray, begins: IntArray, ends: IntArray) -> IntArray:
     """Where the greatest of ``x`` lies in each of K spans."""
-    at = np.empty(len(begins), np.int64)
-    all_greatest_at(x, begins, ends, at)
-    return at
+    return np.array([greatest_at(x, begin, end) for begin, end in zip(begins, ends, strict=True)], np.int64)
 
 
 def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:

@@ -4,6 +4,7 @@ There is one compiled step for a live sample and one compiled block for a record
 Python is called where the phase machine or a stride's result is wanted.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,16 +16,20 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit_ieee, literal_unroll
 from fes.estimation.numerics.records import Mat, Record, Vec, fill, handed, record_of, record_type
-from fes.estimation.strides import segmentation
+from fes.estimation.numerics.rotation import cross
+from fes.estimation.strides import integration, segmentation
+from fes.estimation.strides.boundaries import REST_RADPS, UNSEEN_NS
 from fes.estimation.strides.integration import stride_shapes
 from fes.estimation.strides.results import (
+    HIDDEN,
+    NAMES,
     TRAJECTORY_POINTS,
+    UNKNOWN,
     Rows,
     StrideMaker,
     StrideSettings,
-    columns_of_rows,
-    stride_paths,
-    stride_results,
+    reason_of,
+    result_of,
     toe_out_rad,
 )
 from fes.estimation.strides.segmentation import CHANGES, ROWS, STRIDE_STATE, STRIDES, Out, new_out
@@ -152,15 +157,37 @@ class TrackedBlock:
 
     def paths(self) -> FootPaths:
         """The trajectories of the valid strides."""
-        return stride_paths(self.rows, self.out, self._settings)
+        rows, out = self.rows[self.rows["outcome"] == integration.SOLVED], self.out
+        unseen = rows["t_loading_response_ns"] == UNSEEN_NS
+        contact = np.where(unseen, rows["t_stance_ns"], rows["t_loading_response_ns"])
+        end = int((rows["first"] + rows["rows"]).max(initial=0))
+        forward, up = self._settings.forward, self._settings.up
+        return FootPaths(
+            rows["number"].copy(),
+            np.column_stack((rows["first"], rows["first"] + rows["rows"])),
+            np.column_stack((rows["t_swing_ns"], contact)),
+            out.t_ns[:end],
+            out.position[:end],
+            out.quaternion[:end],
+            np.column_stack((forward, cross(up.tolist(), forward.tolist()), up)),
+        )
 
     def columns(self) -> dict[str, np.ndarray[Any, Any]]:
         """The strides' numbers as columns (K,), see ``fes.estimation.strides.schema.result_columns``."""
-        return columns_of_rows(self._foot, self.rows)
+        rows, foot = self.rows, self._foot
+        valid = rows["outcome"] == integration.SOLVED
+        columns: dict[str, Any] = {name: rows[name].copy() for name in NAMES if name not in HIDDEN}
+        for name in UNKNOWN:
+            columns[name][~valid] = math.nan
+        reasons = np.full(len(rows), "", object)
+        for k in np.flatnonzero(~valid | (rows["residual_rate_radps"] > REST_RADPS)).tolist():
+            reasons[k] = reason_of(dict(zip(NAMES, rows[k].tolist(), strict=True)))
+        return columns | {"foot": np.full(len(rows), foot, object), "valid": valid, "reason": reasons}
 
     def strides(self) -> list[StrideResult]:
         """The strides' results."""
-        return stride_results(self._foot, self.rows, self.shapes)
+        rows = zip(self.rows.tolist(), self.shapes, strict=True)
+        return [result_of(self._foot, row, shape) for row, shape in rows]
 
     def outcomes(self) -> list[Outcome]:
         """Strides and phase changes in the order in which they came."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from fes.estimation.numerics.jit import by_number, inlined, jit, jit_fused, jit_ieee
 from fes.estimation.numerics.records import Mat, Vec
-from fes.signals import FloatArray, IntArray
+from fes.signals import BoolArray, FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
 SINGULAR = 1e-150  # smaller pivots are rounding
@@ -39,6 +39,12 @@ def moving_mean(x: FloatArray, window: int) -> FloatArray:
     end = np.minimum(index - window // 2 + window, len(x))
     count = (end - begin).reshape((-1,) + (1,) * (x.ndim - 1))
     return np.asarray((total[end] - total[begin]) / count)
+
+
+def runs(inside: BoolArray) -> IntArray:
+    """Stretches (K, 2) of True: first sample, and one past the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+    return edges.reshape(-1, 2)
 
 
 @inlined

@@ -17,7 +17,7 @@ from fes.estimation.foot.calibration import CalibrationError, refuse_degrees
 from fes.estimation.foot.features import lags_at
 from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.shank.features import ShankParameters
-from fes.estimation.shank.lever_arm import SHANK, ArmEstimate, ArmPrior, learn_arm
+from fes.estimation.shank.lever_arm import ArmEstimate, learn_arm
 from fes.estimation.shank.motion import (
     CONJUGATE,
     ShankLevels,
@@ -104,15 +104,13 @@ class ShankCalibration:
 
 def calibrate_shank(
     sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray, *,
-    prior: ArmPrior = SHANK, level: bool = True,
+    level: bool = True,
 ) -> ShankCalibration:  # fmt: skip
     """Find a shank sensor's calibration from a stretch with at least a few strides of walking forward.
 
     Args:
         sensor: its name, for messages. rate_hz: nominal sampling rate. t_ns: (N,) strictly increasing time stamps.
-        acc_mps2: (N, 3) specific force. gyr_radps: (N, 3) angular rate. prior: what is expected of the lever arm;
-        :data:`fes.estimation.shank.lever_arm.ANKLE` for a sensor at the malleoli. level: whether the stretch is on
-        level ground.
+        acc_mps2: (N, 3) specific force. gyr_radps: (N, 3) angular rate. level: whether the stretch is on level ground.
 
     Raises:
         CalibrationError: too short, rates in degrees, too few strides, or the direction of travel is ambiguous.
@@ -140,7 +138,7 @@ def calibrate_shank(
     left = left - up * (up @ left)
     left /= np.linalg.norm(left)
     acc_bias = up * excess_mps2
-    arm = learn_arm(t_ns, acc_mps2 - acc_bias, gyr, spans, up, left, prior, level=level)
+    arm = learn_arm(t_ns, acc_mps2 - acc_bias, gyr, spans, up, left, level=level)
     axes_and_biases = _vector(up), _vector(left), _vector(acc_bias), _vector(gyr_radps[0] - gyr[0])
     found = ShankCalibration(
         sensor, rate_hz, *axes_and_biases, arm, confidence, strides=len(spans), standing=bool(rests), level=level

@@ -52,7 +52,6 @@ class ArmPrior:
 
 
 SHANK = ArmPrior()
-ANKLE = ArmPrior(length_m=0.10, length_sd_m=0.03, forward_sd_m=0.03)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ class ArmEstimate:
 
 def learn_arm(
     t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan], up: FloatArray, left: FloatArray,
-    prior: ArmPrior = SHANK, *, level: bool = True,
+    *, level: bool = True,
 ) -> ArmEstimate:  # fmt: skip
     """Learn the arm from the strides of a short walk.
 
@@ -95,9 +94,9 @@ def learn_arm(
         spans: the strides, from :func:`fes.estimation.shank.motion.stride_spans`.
         up: (3,) unit vector along the shank, upward, sensor frame.
         left: (3,) unit mediolateral axis to the person's left, sensor frame.
-        prior: what is expected of this placement.
         level: whether the walk is on level ground.
     """
+    prior = SHANK
     axes = np.stack((np.cross(left, up), left, up))  # rows: forward, left, up in the sensor frame
     expected = np.array([0.0, 0.0, prior.length_m])
     precision = np.diag([prior.forward_sd_m**-2.0, prior.left_sd_m**-2.0, prior.length_sd_m**-2.0])

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.numerics.filters import moving_mean
+from fes.estimation.numerics.filters import moving_mean, runs
 from fes.estimation.numerics.records import new_core
 from fes.estimation.numerics.rotation import from_gravity, rotate_all
 from fes.estimation.shank import features
@@ -80,10 +80,8 @@ def swing_peaks(left_radps: FloatArray, rate_hz: float) -> IntArray:
     if len(brisk) == 0:
         return np.zeros(0, dtype=np.int64)
     level = SWING_SHARE * float(np.percentile(brisk, 90))
-    above = np.concatenate(([False], swing > level, [False]))
-    edges = np.flatnonzero(above[1:] != above[:-1])
     peaks: list[int] = []
-    for begin, end in zip(edges[0::2], edges[1::2], strict=True):
+    for begin, end in runs(swing > level):
         peak = int(begin + np.argmax(swing[begin:end]))
         if peaks and peak - peaks[-1] < SHORTEST_STRIDE_S * rate_hz:
             if swing[peak] > swing[peaks[-1]]:
@@ -142,8 +140,7 @@ def still_spans(acc_mps2: FloatArray, gyr_radps: FloatArray, rate_hz: float) -> 
     rate = moving_mean(gyr_radps**2, window) - moving_mean(gyr_radps, window) ** 2
     slow = np.linalg.norm(moving_mean(gyr_radps, window), axis=1) < 3.0 * STILL_RATE_RADPS
     still = slow & (shake.sum(axis=1) < STILL_FORCE_MPS2**2) & (rate.sum(axis=1) < STILL_RATE_RADPS**2)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(np.int8), [0]))))
-    return [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STILL_S * rate_hz]
+    return [(a, b - 1) for a, b in runs(still).tolist() if b - a >= STILL_S * rate_hz]
 
 
 def levelled(

@@ -15,15 +15,7 @@ from fes.estimation.numerics.jit import jit_ieee
 UNSEEN_NS = -(2**63)  # of what did not happen, for compiled code
 
 
-def time_of(start_ns: int, end_ns: int, before_ns: int) -> int:
-    """As :func:`stride_time_ns`, with ``UNSEEN_NS`` for a stride before that there is not; ready for ``jit``."""
-    lasted_ns = end_ns - start_ns
-    if before_ns == UNSEEN_NS or not 0 <= start_ns - before_ns <= lasted_ns:
-        return lasted_ns
-    return end_ns - before_ns
-
-
-def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
+def stride_time_ns(start_ns: int, end_ns: int, before_ns: int) -> int:
     """From one stance to the next: the stride from quietest to quietest instant, and the rest before it.
 
     A long stance, as in slow walking, has two quiet instants: near its beginning one stride ends, before its end the
@@ -33,9 +25,12 @@ def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
     Args:
         start_ns: the stride's beginning.
         end_ns: its end.
-        before_ns: the end of the stride before, None when there is none.
+        before_ns: the end of the stride before, ``UNSEEN_NS`` when there is none.
     """
-    return time_of(start_ns, end_ns, UNSEEN_NS if before_ns is None else before_ns)
+    lasted_ns = end_ns - start_ns
+    if before_ns == UNSEEN_NS or not 0 <= start_ns - before_ns <= lasted_ns:
+        return lasted_ns
+    return end_ns - before_ns
 
 
 QUIET_WINDOW_S = 0.1

@@ -20,7 +20,7 @@ from fes.estimation.strides.boundaries import (
     index_at,
     mean_and_variance,
     quietest_of,
-    time_of,
+    stride_time_ns,
 )
 from fes.estimation.strides.integration import (
     BACKWARD,
@@ -62,7 +62,7 @@ _SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_P
 _LANDED_NS = int(LANDED_S * NS_PER_S)
 _STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
 _SHORTEST_S, _LONGEST_S = DURATION_S
-_time_of = jit_ieee(time_of)
+_stride_time_ns = jit_ieee(stride_time_ns)
 
 STATE = np.dtype(
     [
@@ -292,7 +292,7 @@ def solve_rows(
             out.t_ns[at : at + count], quaternion, position, fx, fy, fz, ux, uy, uz, settings.toe_out_rad, out.shapes[k]
         )
     row.stride_length_sd_m, row.free_rise_m = numbers[LENGTH_SD], numbers[FREE_RISE]
-    row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
+    row.speed_mps = row.stride_length_m * NS_PER_S / _stride_time_ns(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
     if settings.known:
         _toe_and_heel(settings, row, out.t_ns[at : at + count], position, quaternion)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fes.estimation.numerics.filters import runs
 from fes.estimation.numerics.jit import jit_fused
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.tracking.tracker import LARGEST_VALUE, RESTART_GAP_NS
@@ -23,7 +24,6 @@ from fes.estimation.zupt.thresholds import (
     ZeroVelocityThresholds,
     find_zero_velocity,
     first_stance,
-    mean_in_stance,
     stance_instants,
     with_missed_stances,
 )
@@ -149,9 +149,7 @@ class FootSamples:
         begin += first_stance(self.zero_velocity[begin:end], self.rate_hz)
         span, last = slice(begin, end), self._stretches[-1] if self._stretches else None
         acc, zero_velocity, (acc_sd, gyr_sd) = self.acc_mps2[span], self.zero_velocity[span], self.noise
-        up = np.empty(3)
-        if not mean_in_stance(acc, zero_velocity, up):
-            up = acc.mean(axis=0)
+        up = acc[zero_velocity].mean(axis=0) if zero_velocity.any() else acc.mean(axis=0)
         intervals = gather_intervals(
             self.t_ns[span], acc, self.gyr_radps[span], acc_sd[span], gyr_sd[span], zero_velocity,
             self.thresholds.gyr_bias_radps, per_sample=self.per_sample,
@@ -221,11 +219,7 @@ def _cuts(t_ns: IntArray, zero_velocity: BoolArray, rate_hz: float) -> list[int]
     total_s = 1e-9 * float(t_ns[-1] - t_ns[0])
     if total_s <= STRETCH_S + SEARCH_S:
         return []
-    changes = np.flatnonzero(zero_velocity[1:] != zero_velocity[:-1]) + 1
-    edges = np.concatenate(
-        (np.flatnonzero(zero_velocity[:1]), changes, np.flatnonzero(zero_velocity[-1:]) + len(zero_velocity))
-    )
-    begins, ends = edges[0::2], edges[1::2]
+    begins, ends = runs(zero_velocity).T
     seconds = 1e-9 * (t_ns[begins] - t_ns[0])
     cuts, last_s = list[int](), 0.0
     while total_s - last_s > STRETCH_S + SEARCH_S:
