@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import fes
+from benchmarks.lib.foot_paths import each_path
 from benchmarks.lib.real_sets import data_folder, load_run
 from benchmarks.speed.speed_bare import bare_seconds
 from benchmarks.speed.speed_row import Row
@@ -155,7 +156,7 @@ def stages(recording: Recording) -> dict[str, float]:
             "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), f),
             "path": lambda t=track, c=calibration, f=foot: ground_path(t, c, foot=f),
             "toe and heel": lambda w=walked: point_heights(w.paths(), None, level=True),
-            "strides as results, when asked for": lambda w=walked: (w.strides(), w.paths().each()),
+            "strides as results, when asked for": lambda w=walked: (w.strides(), each_path(w.paths())),
             "events": lambda d=data, c=calibration: find_events(*d, c),
         }
         for name, work in parts.items():

@@ -144,14 +144,6 @@ def test_blocks_may_be_cut_anywhere(foot: str, cuts: list[int]) -> None:
 
 
 @pytest.mark.parametrize("foot", FEET)
-def test_sample_by_sample_is_the_whole_block(foot: str) -> None:
-    samples, calibration = walk(foot)
-    tracker = tracker_of(calibration)
-    assert facts(fed(tracker, samples, list(range(1, len(samples))))) == whole(foot)[0]
-    assert tracker._state.tobytes() == whole(foot)[1]
-
-
-@pytest.mark.parametrize("foot", FEET)
 def test_one_sample_at_a_time_as_live_is_the_whole_block(foot: str) -> None:
     samples, calibration = walk(foot)
     tracker = tracker_of(calibration)

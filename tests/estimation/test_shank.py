@@ -26,7 +26,6 @@ from fes.estimation.shank.motion import (
     ShankLevels,
     fit_levels,
     levelled,
-    moving_mean,
     still_spans,
     stride_spans,
     swing_peaks,
@@ -523,13 +522,6 @@ def test_still_spans_are_the_standing() -> None:
     assert rests[0][0] < 20
     assert 120 < rests[0][1] < 230
     assert still_spans(shank_walk(seed=14).acc, shank_walk(seed=14).gyr, 100.0) == []
-
-
-def test_moving_mean_is_the_mean() -> None:
-    x = np.arange(10.0)
-    np.testing.assert_allclose(moving_mean(x, 3)[1:-1], x[1:-1])
-    np.testing.assert_allclose(moving_mean(np.stack((x, 2 * x), 1), 3)[:, 1], 2 * moving_mean(x, 3))
-    assert moving_mean(x, 1) is x
 
 
 def test_calibration_survives_the_session_log() -> None:
