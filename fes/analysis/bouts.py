@@ -1,15 +1,12 @@
 """Walking bouts of a free-living or clinic day, and within them turns, stairs and slopes.
 
 A bout is walking with at least two strides of each foot and no break of more than three seconds (Kluge et al. 2021, the
-Mobilise-D consensus). A stride counts only where the feet alternate: it has a neighbour of the other foot. Legs that
-swing, tap or bounce while one sits do so alone or at the same place, and a foot that is moved once has no second. Of a
-recording of one foot there is no such evidence: three strides in a row and a true rest are asked for.
+Mobilise-D consensus). A stride counts only where the feet alternate; legs that swing, tap or bounce while one sits do
+so alone or at the same place. Of one foot alone three strides in a row and a true rest are asked for.
 
-Turns: where the walker's heading changes faster than 15°/s, to 45° at least (El-Gohary et al. 2014; here 30°). The
-heading's rate is the mean of both feet's, each foot's turn spread evenly over its stride.
-
-Stairs and slopes by the height that a stride gained as the sensor alone shows it: a stair's pitch is 20 to 45°
-(EN 17210), a walkable slope is under 1 in 5.
+Turns: where the heading, the mean of both feet's, changes faster than 15°/s, to 45° at least (El-Gohary et al. 2014;
+here 30°). Stairs and slopes by the height that a stride gained as the sensor alone shows it: a stair's pitch is 20 to
+45° (EN 17210), a walkable slope is under 1 in 5.
 
 Aggregates over bouts of several lengths are those of Mobilise-D (mobgap): all, 10 to 30 s, over 10, 30 and 60 s.
 """

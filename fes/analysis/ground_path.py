@@ -4,13 +4,10 @@ The path is that of the smoothed ZUPT-aided filter (``fes.estimation.zupt.foot_t
 but the gyroscope, so it drifts; two feet that walk together tell what part of that they do not share. On a treadmill
 the path is that over the belt.
 
-Stride lengths from two solutions of the same recording: a stride solved by itself
-(``fes.estimation.strides.maximum_likelihood``) forgets all that was before; the smoothed filter knows the whole
-recording: its biases and tilt are those that suit all strides, but one end that is worse than it looks spoils
-neighbours too. They use the same samples, yet err for different reasons (their errors correlate by 0.5 to 0.7), so
-their mean errs less than either. Equal weights: a weight found from recordings would be a constant more, and errs
-itself (Clemen 1989, "Combining forecasts: a review and annotated bibliography"). Where the two are far apart one of
-them is wrong, and no mean helps: then the stride's own solution stays.
+Also stride lengths as the mean of two solutions. A stride solved by itself forgets all that was before; the filter
+knows the whole recording, but an end that is worse than it looks spoils neighbours too. They err for different reasons
+(their errors correlate by 0.5 to 0.7), so their mean errs less than either; with equal weights, for a weight found from
+recordings errs itself (Clemen 1989). Where the two are far apart the stride's own solution stays.
 """
 
 import math

@@ -1,46 +1,27 @@
 """Initial contact (IC) and foot off (FO) off-line: exactly one of each between two mid-swings, from 100 Hz to 1 kHz.
 
 Kumar et al. (2015), after Casamassima et al. (2014): between two mid-swing peaks of the mediolateral rate, the first
-peak the other way is IC and the second FO. Kept is the frame (mid-swing to mid-swing, one IC, one FO); departures:
+peak the other way is IC and the second FO. Kept is the frame; departures:
 
 - mid-swing is found by the *fall* from push-off's toe-down rate to the swing's toe-up rate, measured against this
-  walk's own falls, not by the height of a peak: a dragged foot hardly turns toe-up, a forefoot landing turns toe-up
-  twice. Every swing has a push-off of its own: a second fall before which the foot has not turned toe-down belongs to
-  the same swing (a stimulated muscle snaps the foot up as it leaves; the swing's own turn comes 0.4 s later);
-- IC is where the rate turns from toe-up to toe-down (the foot is at its greatest pitch), not the peak that follows:
-  that peak is 55–60 ms late in healthy walks and 50–95 ms in stroke. The turn counts once the rate has reached
-  ``TURN_SHARE`` of push-off's peak, some 3 ms later, for a foot may stop turning before it lands. What is left is a
-  constant (``IC_OFFSET_S``). A foot that lands flat or on its forefoot is not thrown toe-down; there IC is where the
-  impact begins, or, without one, where the heel begins to drop;
-- FO is half-way between push-off's last peak and the fall to 75 % of it. The peak alone is early, by 5–17 ms,
-  and far too early where push-off has shoulders (turning); the fall alone is 3 ms late where it is abrupt and 20 ms
-  where it is gentle.
+  walk's own falls: a dragged foot hardly turns toe-up, a forefoot landing turns toe-up twice. A second fall before
+  which the foot has not turned toe-down belongs to the same swing;
+- IC is where the rate turns from toe-up to toe-down, not the peak that follows, 50–95 ms late. The turn counts once the
+  rate has reached ``TURN_SHARE`` of push-off's peak; what is left is a constant (``IC_OFFSET_S``). A foot that lands
+  flat or on its forefoot is not thrown toe-down; there IC is where the impact begins, or else where the heel drops;
+- FO is half-way between push-off's last peak and the fall to 75 % of it: the peak alone is early, the fall alone late.
 
 Rates are smoothed without lag, so the offsets hold at every sampling rate. In the code positions are sample indices.
 
-Foot-strike angle: pitch of the foot at IC relative to mid-stance, toe-up positive, from the mediolateral rate alone.
+Foot-strike angle: pitch at IC relative to mid-stance, toe-up positive, from the mediolateral rate alone, for over some
+0.3 s a gyroscope hardly drifts. Mid-stance is the middle *in time* between IC and FO: a brisk foot rolls on all through
+stance, and its quietest instant is early (against Vicon means of 13 runs 0.98 and 2.1°, the middle 0.99 and 1.3°).
 
-Between IC and mid-stance lie some 0.3 s, over which a gyroscope drifts by hundredths of a degree: no orientation
-filter is needed, the instants decide. IC is the greatest pitch of a heel strike, so that some ms more or less hardly
-matter. What matters is mid-stance: the middle *in time* between IC and FO, as in optical gait analysis, not the
-quietest instant. A brisk walker's foot rolls on at 0.5 rad/s all through stance, and the quietest instant comes early
-in it; that costs 6° in the fastest patient and 1° in the slowest. Against Vicon means of 13 runs of 4 patients the
-quietest instant gives a correlation of 0.98 and an SD of 2.1°, the middle of stance 0.99 and 1.3°.
-
-Foot flat and heel rise off-line: where a stance's pitch comes to mid-stance's, and where it leaves it.
-
-Between a contact and the next foot off the foot's pitch is that of its mid-stance, but for its landing and its roll
-over the forefoot. The pitch is the mediolateral rate's integral over a few tenths of a second, so that a gyroscope's
-drift is hundredths of a degree, and mid-stance's is the mean of a tenth of a second in the middle of the stance:
-
-- *foot flat*: from then on until mid-stance the pitch is within ``FLAT_RAD`` of mid-stance's and turns more slowly than
-  ``FLAT_RADPS``, and the roll about the foot's long axis, inversion and eversion, is within ``FLAT_RAD`` of
-  mid-stance's as well: a paretic foot lands on its outer border with its pitch near to level. A foot that lands
-  on its forefoot slowly is flat no sooner than its heel has come down, to ``HEEL_DOWN_RAD`` below mid-stance's pitch;
-- *heel rise*: the last instant at which the foot has not yet turned toe-down by ``RISE_RAD`` from mid-stance.
-
-No paper; foot-flat by angle and rate after Mariani et al. (2013). ``benchmarks/accuracy/offline_phases.py`` holds both
-against footswitches, and chooses the angles again without the walker that is judged.
+Foot flat and heel rise, by that pitch. *Foot flat*: from then on until mid-stance the pitch, and the roll about the
+foot's long axis (a paretic foot lands on its outer border), are within ``FLAT_RAD`` of mid-stance's and it turns more
+slowly than ``FLAT_RADPS``; of a slow forefoot landing no sooner than the heel is down. *Heel rise*: the last instant at
+which the foot has not yet turned toe-down by ``RISE_RAD``. After Mariani et al. (2013);
+``benchmarks/accuracy/offline_phases.py`` holds both against footswitches, without the walker that is judged.
 """
 
 import math

@@ -1,18 +1,15 @@
 """How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, levels.
 
 Nothing is assumed of the mounting, of rests, of cadence or of the side; of the walk, that it goes forward. Where the
-strides lead, each seen from its own foot, is forward up to toe-out: turns, curves and a foot swung outward do not
-matter. The *fall* of the mediolateral rate from push-off to mid-swing tells the axis more precisely: heel rise and the
-flexion of hip and knee are sagittal even where a foot lands on its edge or drags. But some feet roll obliquely over
-their toes. So the two are joined, each as sure as it is, and the falls, whose error has the longer tails, move the axis
-from the travel by no more than one standard deviation of what the two are apart (Huber, *Ann Math Stat* 35, 1964).
-Where they are at odds the axis is less sure. That the foot tilts further toe-down than toe-up tells forward from
-backward.
+strides lead, each seen from its own foot, is forward up to toe-out. The *fall* of the mediolateral rate from push-off
+to mid-swing tells the axis more precisely: heel rise and the flexion of hip and knee are sagittal even where a foot
+lands on its edge or drags. But some feet roll obliquely over their toes. So the two are joined, each as sure as it is,
+and the falls move the axis from the travel by no more than one standard deviation of what the two are apart (Huber,
+*Ann Math Stat* 35, 1964). That the foot tilts further toe-down than toe-up tells forward from backward.
 
 Gravity shows at the quietest instants between two falls. There the accelerometer's magnitude differs from gravity by a
-bias (a scale fits real sensors worse). The gyroscope's bias follows from gravity's closure: from quiet instant to quiet
-instant the integrated turn must carry gravity to gravity; both ends are the same part of the gait cycle, so what is not
-gravity cancels.
+bias. The gyroscope's bias follows from gravity's closure: from quiet instant to quiet instant the integrated turn must
+carry gravity to gravity.
 """
 
 from __future__ import annotations

@@ -1,19 +1,17 @@
 """The lever arm of a shank sensor: from the point that the shank turns about in mid-stance to the sensor.
 
 Source: Wu, Wang and Pottie, Eq. (5) ``v = w × r`` in the sensor frame and Eq. (8), ``r`` by least squares from a short
-walk. Departures from the print, and why:
+walk. Departures from the print:
 
-- Their velocity comes from one integration from rest to rest over the whole training walk, which a treadmill does not
-  have, and which drifts after some ten seconds. So two kinds of rows are used: within each stance window the *shape* of
-  the velocity (its horizontal offset is free, its vertical one known on level ground, where the stride ends as high as
-  it began), and, where the walk begins and ends standing, Wu's velocity itself.
-- A shank that turns evenly in stance does not show the arm, and a plain fit collapses. So the fit has a prior (a sensor
-  on the middle of the shank turning about the ankle, 0.30 m along the long axis), a bound and a verdict.
-- The model limits the fit, not noise that more strides would average out: the ankle is not still and the foot rolls. So
-  the information is the mean over the windows, never their sum.
+- Their velocity comes from one integration from rest to rest, which a treadmill does not have, and which drifts. So
+  within each stance window the *shape* of the velocity counts (its vertical offset is known on level ground), and,
+  where the walk begins and ends standing, Wu's velocity itself.
+- A shank that turns evenly in stance does not show the arm: the fit has a prior, a bound and a verdict.
+- The model limits the fit, not noise that more strides would average out. So the information is the mean over the
+  windows, never their sum.
 
 On ``stroke_treadmill`` the belt implies arms of 0.25–0.31 m at 0.8–1.2 m/s and 0.34–0.40 m at 1.6 m/s. The arm learnt
-is that of the ankle rocker, between foot-flat and heel-off; in the heel and forefoot rockers it is 0.1 to 0.3 m longer.
+is that of the ankle rocker; in the heel and forefoot rockers it is 0.1 to 0.3 m longer.
 """
 
 import math

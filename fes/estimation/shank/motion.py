@@ -1,21 +1,16 @@
-"""What a shank does in walking: its swings, its mid-stances, and the orientation over one stride.
+"""What a shank does in walking: its swings, its mid-stances, its orientation over a stride, its levels for the guards.
 
 Source: Wu, Wang and Pottie, "A Non-ZUPT Gait Reconstruction Method for Ankle Sensors", section II-D. Departures from
-the print, and why:
+the print:
 
 - Stance there is where the mean of ``|w|²`` over 0.1 s is below 2 rad²/s², which at 1.6 m/s hardly a sample is. Here
-  the swings are found first, each person's own, and the threshold is the larger of the print's and a share of this
-  person's swing; a window not below it makes its stride invalid.
-- Within it the print takes the 0.05 s of least variance of the gyroscope's energy. A strapped sensor wobbles on the
-  soft tissue at 8–12 Hz for 0.2 s after contact. On the shanks of ``stroke_treadmill`` speed over belt spreads by 4.1 %
-  (SD) with 0.05 s, and by 2.6 % with 0.2 s; and energy instead of its variance makes the arm matter least.
-- Orientation: the shank does not rest, so the accelerometer does not show gravity at any instant. Over a whole stride
-  it does: the mean specific force in the world is gravity plus the change of velocity over the time.
+  the swings are found first, and the threshold is the larger of the print's and a share of this person's swing.
+- Within it the print takes the 0.05 s of least variance of the gyroscope's energy. A strapped sensor wobbles for 0.2 s
+  after contact: with 0.2 s of least energy speed over belt spreads by 2.6 % (SD) instead of 4.1 %.
+- The shank does not rest, so gravity shows at no instant. Over a whole stride it does: the mean specific force in the
+  world is gravity plus the change of velocity over the time.
 
-How this person's shank moves: the levels that the guards' thresholds are fitted to, from a short walk.
-
-All levels are this walk's own, so that they go with the person, the walking speed and the place of the sensor; the
-bounds only keep a strange walk from making a guard useless.
+All levels are this walk's own; the bounds only keep a strange walk from making a guard useless.
 """
 
 from __future__ import annotations

@@ -2,26 +2,19 @@
 
 The same interface as :class:`fes.estimation.foot.tracker.FootTracker`. The phases mean the same: pre-swing begins when
 the ankle lifts, swing at foot-off, loading response at contact, stance when the shank turns slowly over a still ankle.
-A stride is Wu et al.'s, from the quietest instant of one stance to the next, reset to ``v = w × r`` there.
 
-Source: Wu, Wang and Pottie, "A Non-ZUPT Gait Reconstruction Method for Ankle Sensors". In mid-stance the shank turns
-about a point near the ankle, ``v = w × r`` in the sensor frame (5); the velocity is reset to that instead of to zero.
-Departures from the print, and why:
+Source of the strides: Wu, Wang and Pottie, "A Non-ZUPT Gait Reconstruction Method for Ankle Sensors". In mid-stance the
+shank turns about a point near the ankle, and the velocity is reset to ``v = w × r`` (5). Departures from the print:
 
 - The reset meets the velocity at both ends of a stride, with the smallest artificial accelerometer bias that does so
-  (``fes.estimation.strides.integration``), instead of a jump at each mid-stance; and equal height on level ground, off
-  on stairs.
-- ``v = w × r`` is met on average over the fine window, not at its middle: the gyroscope wobbles on the soft tissue
-  there while the integrated acceleration does not, and the velocity has its minimum there, so that a mean of the one is
-  not to be compared with an instant of the other: that makes the strides of ``stroke_treadmill`` 2.4 % longer.
-- The arm points from the centre of rotation to the sensor, that is up the shank. See
-  ``fes.estimation.shank.lever_arm``.
+  (``fes.estimation.strides.integration``), and equal height on level ground.
+- It is met on average over the fine window, not at its middle: the gyroscope wobbles on the soft tissue there. That
+  makes the strides of ``stroke_treadmill`` 2.4 % longer.
+- The arm points up the shank (``fes.estimation.shank.lever_arm``); a centimetre of it is 0.65 %.
 
-On 24 sides of ``stroke_treadmill`` speed over belt is 1.002 ± 0.026 (mean and SD). A centimetre of arm is 0.65 %.
-
-Known limits: the one patient at 1.6 m/s comes out 2.5–5.5 % short, probably as the ankle itself still moves in stance.
-The centre learnt is the ankle rocker's: a toe walker, who turns about the ball of the foot, has an arm that is longer
-by the height of the ankle. What clearance means here is the rise of the sensor, not of the toe.
+On 24 sides of ``stroke_treadmill`` speed over belt is 1.002 ± 0.026 (mean and SD). Known limits: the one patient at
+1.6 m/s comes out 2.5–5.5 % short; a toe walker's arm is longer by the height of the ankle. Clearance here is the rise
+of the sensor.
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
 """A stride's whole solution in one compiled call: its ends, its orientation, its trajectory, and their numbers.
 
-Constrained, bias-corrected integration of one stride.
+Constrained, bias-corrected integration of one stride: Negård et al. (2005), Eq. (14)–(20). Velocity is known at both
+ends and height is equal at both; an artificial accelerometer bias absorbs the rest. Departures from the print:
 
-Source: Negård et al. (2005), Eq. (14)–(20). Velocity is known at both ends and height is equal at both ends; an
-artificial accelerometer bias absorbs the rest. Departures from the print:
-
-- (16) has three unknowns and spends all of them on velocity, so the equal height that the text asks for cannot be met.
-  Here the bias may vary linearly in time, ``gamma(tau) = gamma0 + gamma1·(2 tau - 1)``, tau from 0 to 1 over the
-  stride, and is the smallest one that meets all four constraints. On an incline
-  the end is higher by what the ground rises; on stairs and unknown slopes the height is left free.
+- (16) has three unknowns and spends all on velocity, so the equal height cannot be met. Here the bias may vary linearly
+  in time, ``gamma(tau) = gamma0 + gamma1·(2 tau - 1)``, and is the smallest one that meets all four constraints. On an
+  incline the end is higher by what the ground rises; on stairs and unknown slopes the height is left free.
 - trapezoid sums instead of the rectangles of (15), (17), (18), which lag by half a sample.
-- the velocity at the ends need not be zero: the foot is never wholly at rest, and turns about its ground contact there.
+- the velocity at the ends need not be zero: the foot turns about its ground contact there.
 - the orientation's tilt is brought towards what gravity says at the end by a constant extra rate, of which only a share
-  is applied (``end_tilt_gain``): the accelerometer of a foot that is not wholly at rest does not measure gravity alone.
+  is applied (``end_tilt_gain``): a foot that is not wholly at rest does not measure gravity alone.
 """
 
 import math

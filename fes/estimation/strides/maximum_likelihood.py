@@ -1,25 +1,17 @@
 """The most likely stride: strapdown integration whose every error is weighed, solved in one step.
 
-Negård et al. (2005) let an artificial accelerometer bias absorb all that is left over at a stride's end. But what is
-left over has several causes: tilt at the start, biases of gyroscope and accelerometer, noise of both, which grows where
-the sensor is jolted or turned fast, and a foot that is not quite at rest at the ends. Each has its size
-(:class:`StrideNoise`), and the most likely set of errors is found that explains what is known: velocity (3) and height
-(1) at the end, gravity's direction at the end (2) and the start (2): eight equations, in their dual form.
+Negård et al. (2005) let an artificial accelerometer bias absorb all that is left over at a stride's end. But that has
+several causes: tilt at the start, biases of gyroscope and accelerometer, noise of both, which grows where the sensor is
+jolted or turned fast, and a foot that is not quite at rest at the ends. Each has its size (:class:`StrideNoise`), and
+the most likely set of errors is found that explains what is known: velocity (3) and height (1) at the end, gravity's
+direction at the end (2) and the start (2): eight equations, in their dual form. How much a foot still rocks or is
+jolted at the ends is measured in each stance anew, so that no gait needs settings of its own.
 
-A jump of the specific force by more than ``jolt_mps3`` between samples is a contact that clips the sensor, or that it
-is too slow for: what it measured there is nearly worthless, and the correction goes there first.
-
-A foot that still rocks or is still jolted at a stride's end neither stands still nor shows gravity alone. How much so
-is measured there, in each stance anew, so that brisk and slow, healthy and dragging gait need no settings of their own.
-
-The height is solved by itself once the orientation is settled (:func:`settle_height`). Heights hang on the vertical
-velocity alone, and what spoils it is mostly one thing: the impact at the heel, which is over in hundredths of a second,
-clips the sensor, outruns it, and lets it shake on its shoe. What was measured then is worth little, before and after it
-much. So the error that the end shows (the foot is at rest, and as high as it began) belongs there, and swing keeps the
-height that it was lifted to. In the common solution it cannot all go there, because the same samples also bear on tilt
-and length. Two equations, velocity and height at the end. Each sample's noise grows with the fastest change of the
-specific force that is not long past; no threshold says what an impact is, so soft and hard contacts need no settings of
-their own.
+The height is solved by itself once the orientation is settled (:func:`settle_height`): it hangs on the vertical
+velocity alone, and what spoils that is mostly the impact at the heel, which clips the sensor and outruns it. The error
+that the end shows belongs there, and swing keeps the height that it was lifted to; in the common solution it cannot all
+go there, because the same samples also bear on tilt and length. Each sample's noise grows with the fastest change of
+the specific force that is not long past; no threshold says what an impact is.
 """
 
 import math

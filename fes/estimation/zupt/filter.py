@@ -1,28 +1,22 @@
 """ZUPT-aided navigation: the trajectory of a foot through a whole recording, forward; the smoother follows it back.
 
-Source: Kumar et al., "Applying update using Kalman filter", after Fischer, Talkad Sukumar and Hazas (2013), "Tutorial:
-implementing a pedestrian tracker using inertial sensors": strapdown integration, and an error-state filter for which
-the velocity of a foot in stance is a measurement. Departures and additions:
+Source: Kumar et al., "Applying update using Kalman filter", after Fischer, Talkad Sukumar and Hazas (2013): strapdown
+integration, and an error-state filter for which the velocity of a foot in stance is a measurement. Departures:
 
 - fifteen states instead of nine: the biases of gyroscope and accelerometer are estimated too;
-- the standing foot turns about where it touches the ground: its velocity is ``w × r``, not zero. The arm ``r`` from
-  there to the sensor is given. The foot also drifts on in the direction in which it came, by 0.5 cm/s for the first
-  second (optical recordings show the instep moving all through mid-stance);
-- the measurement's noise grows with the rate, and samples within the time for which they err alike count as one: so
-  neither a looser threshold nor a higher sampling rate makes the filter sure of what it cannot know;
-- trapezoids instead of rectangles; samples that clip, or jump faster than an accelerometer follows, count as noise;
-- zero velocity at which the foot is sure to travel (beyond 4 standard deviations) is none: in a dragged or slow, even
-  swing an inertial sensor reads like one at rest. Should it last, or nothing be measured for long, the filter is lost
-  instead; its uncertainty grows by what it was wrong, and it takes the measurement;
-- the covariance goes from interval to interval (:mod:`fes.estimation.zupt.decimation`), and velocity is measured once
-  an interval.
+- the standing foot turns about where it touches the ground: its velocity is ``w × r``, not zero, with a given arm
+  ``r``; and it drifts on in the direction in which it came for the first second, as optical recordings show;
+- the measurement's noise grows with the rate, and samples that err alike count as one: neither a looser threshold nor a
+  higher sampling rate makes the filter sure of what it cannot know;
+- trapezoids; samples that clip, or jump faster than an accelerometer follows, count as noise;
+- zero velocity at which the foot is sure to travel (beyond 4 standard deviations) is none: a slow, even swing reads
+  like rest. Should it last, or nothing be measured for long, the filter is lost, and takes the measurement;
+- the covariance goes from interval to interval (:mod:`fes.estimation.zupt.decimation`), with one measurement each.
 
-Fixed-interval smoothing of what the filter leaves behind: Bierman (1973), "Fixed interval smoothing with discrete
-measurements": an adjoint vector runs backwards through intervals and measurements (the modified Bryson-Frazier form);
-then Koopman (1993), "Disturbance smoother for state space models": the start's error and each interval's noise are
-their own variance times the adjoint, and carrying them forward gives each interval's correction. The estimates are
-those of Rauch, Tung and Striebel; nothing is inverted, which matters where a covariance is nearly singular (nothing
-measures heading, and position but weakly), and none has to be kept.
+Fixed-interval smoothing: Bierman (1973), "Fixed interval smoothing with discrete measurements": an adjoint vector runs
+backwards through intervals and measurements; then Koopman (1993), "Disturbance smoother for state space models": the
+start's error and each interval's noise are their own variance times the adjoint, carried forward. The estimates are
+those of Rauch, Tung and Striebel, but no covariance, which may be nearly singular, is inverted or kept.
 """
 
 import math
