@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -13,15 +13,40 @@ from fes.analysis.tables import Table
 from fes.recording import Recording
 from fes.recording.at_once import at_once
 from fes.recording.tracks import Track
-from fes.signals import FOOT_SENSORS
+from fes.signals import FOOT_SENSORS, StrideResult
 from fes.walk_record import Finding
 from fes.witness import Lie, Testimony, corrected, examine
 from fes.witness.estimate import FEWEST
 from fes.witness.frozen import dead_band_radps, frozen_rows
 from fes.witness.verdict import SURE
 
-if TYPE_CHECKING:
-    from fes.analysis.results import Analysis
+
+class Analysis(Protocol):
+    """What is examined: :class:`fes.analysis.results.Analysis`."""
+
+    @property
+    def recording(self) -> Recording: ...  # noqa: D102
+
+    @property
+    def raw(self) -> dict[str, Track]: ...  # noqa: D102
+
+    @property
+    def corrections(self) -> Mapping[str, tuple[Lie, ...]]: ...  # noqa: D102
+
+    @property
+    def uncorrected(self) -> Mapping[str, Mapping[str, float]]: ...  # noqa: D102
+
+    @property
+    def blocks(self) -> Any: ...  # noqa: D102
+
+    @property
+    def strides(self) -> list[StrideResult]: ...  # noqa: D102
+
+    @property
+    def stride_columns(self) -> Table: ...  # noqa: D102
+
+    @property
+    def testimonies(self) -> dict[str, Testimony]: ...  # noqa: D102
 
 
 # Of the speed: on a belt two sound feet were measured apart by 6 % at most, in 20 walks.
