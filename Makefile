@@ -135,6 +135,7 @@ hazards: $(VENV)/dev.stamp
 
 docs: $(VENV)/dev.stamp
 	$(BIN)/python docs/phases_page.py
+	$(BIN)/python docs/architecture_page.py
 	$(BIN)/python tests/safety/documents.py --write
 
 # The tools are an environment of their own. A warning is an error, a link that leads nowhere is a warning.

@@ -123,17 +123,17 @@ def generated(stride: Shown) -> str:
     )
 
 
-def updated(text: str, new: str) -> str:
+def updated(text: str, new: str, begins: str = BEGIN) -> str:
     """A document with what stands between the markers made anew.
 
     Raises:
         ValueError: the markers are not there in order, or the first stands there twice.
     """
-    before, begin, rest = text.partition(BEGIN)
+    before, begin, rest = text.partition(begins)
     _, end, after = rest.partition(END)
-    if not begin or not end or BEGIN in after:
-        raise ValueError(f"expected one line {BEGIN!r} and after it a line {END!r}")
-    return f"{before}{BEGIN}\n\n{new}\n\n{END}{after}"
+    if not begin or not end or begins in after:
+        raise ValueError(f"expected one line {begins!r} and after it a line {END!r}")
+    return f"{before}{begins}\n\n{new}\n\n{END}{after}"
 
 
 # --- the phases and transitions --------------------------------------------------------------------------

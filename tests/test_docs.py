@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import architecture_page
 import click
 import pytest
 
@@ -139,15 +140,8 @@ def importable(name: str) -> bool:
     return False
 
 
-def test_every_room_has_a_row_in_the_architecture():
-    _, _, part = text_of(ROOT / "docs" / "architecture.md").partition("## What is where")
-    rows = [line.split("|")[1] for line in part.splitlines() if "|" in line]
-    named = {code.rstrip("/") for row in rows for code in INLINE.findall(row) if PATH.match(code)}
-    rooms = {"statemachine", *(face.parent.relative_to(ROOT).as_posix() for face in ROOT.glob("*/*/__init__.py"))}
-    rooms = {room for room in rooms if room.split("/")[0] in TREES}
-    loose = {file.relative_to(ROOT).as_posix() for file in ROOT.glob("fes/*.py") if file.name != "__init__.py"}
-    missing = {each for each in rooms | loose if not any(name == each or name.startswith(f"{each}/") for name in named)}
-    assert not missing
+def test_the_rooms_the_loop_and_the_frames_are_as_the_code_has_them():
+    assert architecture_page.main(["--check"]) == 0
 
 
 def toml_blocks(name: str) -> list[dict[str, Any]]:

@@ -672,6 +672,16 @@ def test_lost_data_end_the_stride_under_way() -> None:
     assert result.t_start_ns > 1_250_000_000
 
 
+@pytest.mark.parametrize(("radps", "begins"), [(0.3, True), (3.9, False)])
+def test_data_that_go_on_in_a_swing_begin_no_stride(radps: float, begins: bool) -> None:
+    t_ns = np.arange(4) * 10_000_000 + NS_PER_S
+    gyr = np.column_stack((np.zeros(4), radps + np.array([0.1, 0.0, 0.1, 0.2]), np.zeros(4)))
+    maker = Follower(FOOT, SETTINGS)
+    maker.restart(int(t_ns[0]))
+    segmentation.begin(maker.core, 4, t_ns, gyr, NO_BIASES, STRIDE_S)
+    assert (maker.core["state"]["start_ns"].item() != UNSEEN_NS) == begins
+
+
 def test_a_stride_that_outlasts_the_history() -> None:
     walk = Walk()
     walk.stride(0)

@@ -14,7 +14,9 @@ from fes.estimation.numerics.jit import by_number, jit_ieee
 from fes.estimation.numerics.records import core_type
 from fes.estimation.numerics.rotation import to_world, without
 from fes.estimation.strides.boundaries import (
+    AROUND_S,
     NO_REST_RADPS,
+    REST_RADPS,
     UNSEEN_NS,
     around_ends,
     index_at,
@@ -59,7 +61,7 @@ NEVER_NS = 2**63 - 1
 FORGOTTEN, NO_STRIDE_TIME, GAP = range(10, 13)  # what came of a stride that was not solved, beside the solution's words
 STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
 _SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_PER_S)
-_LANDED_NS = int(LANDED_S * NS_PER_S)
+_AROUND_NS, _LANDED_NS = int(AROUND_S * NS_PER_S), int(LANDED_S * NS_PER_S)
 _STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
 _SHORTEST_S, _LONGEST_S = DURATION_S
 _stride_time_ns = jit_ieee(stride_time_ns)
@@ -164,14 +166,19 @@ def on_phase(core: Any, destination: int, t_ns: int) -> None:
 def begin(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, stride_s: float) -> None:
     """T1: the next stride begins where the last one ended; after a stop at the quietest instant of the last second.
 
-    ``stride_s`` is this person's usual stride time; else as for :func:`close`.
+    Where that is hardly after the first sample since data were lost, and the foot turns there, it came out of a swing
+    that nobody saw: no stride begins. ``stride_s`` is this person's usual stride time; else as for :func:`close`.
     """
     state, settings = core[0].state, core[0].settings
     settings.incline = settings.next_incline  # here alone, so that one stride knows one ground
     now = t_ns[n - 1]
     if state.start_ns == UNSEEN_NS or now - state.start_ns > _stop_ns(stride_s):
         earliest = max(state.stance_ns - _LEAD_NS, now - _SEARCH_NS)
-        state.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
+        bx, by, bz = biases[1, 0], biases[1, 1], biases[1, 2]
+        first = quietest_of(t_ns, gyr, n, bx, by, bz, earliest, now)
+        turns = (gyr[first, 0] - bx) ** 2 + (gyr[first, 1] - by) ** 2 + (gyr[first, 2] - bz) ** 2 > REST_RADPS**2
+        unseen = t_ns[first] - t_ns[0] < _AROUND_NS and turns
+        state.start_ns = UNSEEN_NS if unseen else t_ns[first]
     _forget(state.times_ns)
 
 
