@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fes.estimation.clearance.clearance import FootArms, FootPath
+from benchmarks.lib.foot_paths import FootPath, join_paths
+from fes.estimation.clearance.clearance import FootArms
+from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
 from fes.signals import FloatArray
 
 RATE_HZ = 200.0
@@ -51,3 +53,7 @@ ARMS = arms(0.12, 0.21, 0.06)
 def upstairs(path: FootPath, step_m: float) -> FootPath:
     share = np.interp(1e-9 * path.t_ns, [FOOT_OFF_S, CONTACT_S], [0.0, step_m])
     return replace(path, position_m=path.position_m + np.column_stack([0 * share, 0 * share, share]))
+
+
+def geometry_of(paths: list[FootPath]) -> EstimatedGeometry:
+    return estimate_geometry(join_paths(paths))

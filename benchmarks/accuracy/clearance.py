@@ -20,13 +20,13 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
+from benchmarks.lib.foot_paths import FootPath, each_path, join_paths
 from benchmarks.lib.real_sets import MARKERS_HZ, STRAIGHT_RAD, data_folder, gaitmap_markers, gaitmap_walk, trials
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
     HEEL,
     TOE,
     FootArms,
-    FootPath,
     arms_of,
     clearances,
     contact_heights,
@@ -83,11 +83,10 @@ class MarkedStride:
 def walked(track: Track) -> tuple[list[StrideResult], list[FootPath]]:
     """The valid strides of one foot and their paths."""
     calibration = calibrate_track(track)
-    paths: list[FootPath] = []
-    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), watch=paths.append)
+    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up))
     tracker = FootTracker(calibration, StrideMaker(track.sensor, settings))
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return [each for each in outcomes if isinstance(each, StrideResult) and each.valid], paths
+    block = tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    return [each for each in block.strides() if each.valid], each_path(block.paths())
 
 
 @cache
@@ -134,7 +133,7 @@ def given_arms(strides: list[MarkedStride]) -> FootArms:
 
 def arms_by_geometry(strides: list[MarkedStride]) -> dict[str, FootArms]:
     given = given_arms(strides)
-    sole = arms_of(estimate_geometry([stride.path for stride in strides]).geometry)
+    sole = arms_of(estimate_geometry(join_paths([stride.path for stride in strides])).geometry)
     toe_up, heel_up = (float(np.median([getattr(s, name)[0, 2] for s in strides])) for name in ("toe_m", "heel_m"))
     return {
         "given": given,
@@ -161,7 +160,7 @@ def trial_rows() -> list[Row]:
     for _, recording, truth in trials():
         for foot, geometry in recording.geometry.items():
             _, paths = walked(recording.tracks[foot])
-            arms = {"given": arms_of(geometry), "estimated": arms_of(estimate_geometry(paths).geometry)}
+            arms = {"given": arms_of(geometry), "estimated": arms_of(estimate_geometry(join_paths(paths)).geometry)}
             judged = []
             for true in (each for each in truth.strides_of(foot) if each.steady and each.walking):
                 path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
@@ -176,8 +175,8 @@ def _rows(data: str, feet: Sequence[JudgedFoot]) -> Iterator[Row]:
         errors = []
         for paths, arms_of_foot, judged in feet:
             arms = arms_of_foot[geometry]
-            levels = contact_levels(contact_heights(paths, arms)) if anchored else None
-            errors += [clearances([path], arms, levels)[0, [TOE, HEEL]] - true for path, true in judged]
+            levels = contact_levels(contact_heights(join_paths(paths), arms)) if anchored else None
+            errors += [clearances(join_paths([path]), arms, levels)[0, [TOE, HEEL]] - true for path, true in judged]
         mean, sd = np.mean(errors, axis=0), np.std(errors, axis=0, ddof=1)
         toe, heel = ((float(mean[k]), float(sd[k])) for k in range(2))
         yield Row(data, geometry, anchored, len(errors), toe, heel)

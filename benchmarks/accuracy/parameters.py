@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.lib.command_line import parser_of, publish, table_of, verdict
+from benchmarks.lib.foot_paths import FootPath, join_paths
 from benchmarks.lib.real_sets import data_folder, gaitmap_cases, trials
 from benchmarks.lib.swing_judge import later_ms
 from fes.analysis.parameters.contacts import no_swings
@@ -28,7 +29,7 @@ from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.motion import motions, pitches, variations
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
-from fes.estimation.clearance.clearance import TOE, FootArms, FootPath, arms_of, clearances, join_paths
+from fes.estimation.clearance.clearance import TOE, FootArms, arms_of, clearances
 from fes.recording import Recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
 from fes.simulation.forward import VirtualPatient, settings_for
@@ -167,7 +168,7 @@ def _differences(
         "stance_ms": 1e3 * (v["stance_s"] - stance),
         "clearance_cm": 100.0 * (v["lift_m"] - float((path.position_m[:, 2] - path.position_m[0, 2]).max())),
         "mlr_deg": math.degrees(v["heel_rotation_rad"] - mlr),
-        "toe_cm": 100.0 * (v["toe_clearance_m"] - float(clearances([path], arms, None)[0, TOE])),
+        "toe_cm": 100.0 * (v["toe_clearance_m"] - float(clearances(paths, arms, None)[0, TOE])),
         "toe_model_cm": 100.0 * (v["toe_clearance_m"] - true.toe_clearance_m),
         "mdd_cm": 100.0 * (v["deviation_m"] - mdd),
         "circumduction_cm": 100.0 * (v["circumduction_m"] - circumduction),

@@ -24,7 +24,7 @@ from fes.calibration.side_detection import MIN_AGREEING, MIN_SCORE, side_signs, 
 from fes.estimation.foot.calibration import CalibrationError, stretch_for_calibration
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.motion import stride_spans, swing_peaks
-from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
+from fes.estimation.shank.tracker import ShankIntegrationSettings, solve_shank_stride
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray, StrideResult
 from statemachine.phases import Transition

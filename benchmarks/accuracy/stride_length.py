@@ -20,7 +20,7 @@ from scipy.signal import medfilt
 
 from benchmarks.lib.command_line import no_recordings, parser_of, publish, table_of
 from benchmarks.lib.real_sets import LAST_S, PathWalk, all_walks, data_folder, gaitmap_walk, pyshoe_vicon, stroke_feet
-from fes.analysis.stride_fusion import lengths_along, mean_lengths
+from fes.analysis.ground_path import lengths_along, mean_lengths
 from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker

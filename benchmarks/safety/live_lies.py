@@ -28,7 +28,7 @@ from fes.estimation.sensor_choice import Calibration
 from fes.recording import Track
 from fes.signals import StrideResult
 from fes.stimulation.order import NOTED
-from fes.witness.hearing import Hearing
+from fes.witness.verdict import Hearing
 
 SOUND = "as it is"
 LIES: dict[str, Change] = {

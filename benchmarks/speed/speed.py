@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 
 import fes
+from benchmarks.lib.foot_paths import each_path
 from benchmarks.lib.real_sets import data_folder, load_run, runs_of
 from benchmarks.peers.cases import case_of
 from benchmarks.speed.speed_row import Row
-from fes.analysis.ground_path import ground_path
+from fes.analysis.ground_path import fuse, ground_path
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
-from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import point_heights
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot import features as kernel
@@ -44,9 +44,8 @@ from fes.estimation.sensor_choice import Calibration, stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.estimation.tracking.phase_features import enter_phase
 from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, ZuptSettings, gather, gather_intervals, interval_ends
-from fes.estimation.zupt.filter import filter_intervals, new_tape
+from fes.estimation.zupt.filter import filter_intervals, new_tape, smooth_intervals
 from fes.estimation.zupt.foot_trajectory import foot_samples
-from fes.estimation.zupt.smoother import smooth_intervals
 from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.recording import Recording, Track, read_recording, write_recording
 from fes.recording.chunks import Chunk, keep_freed_memory
@@ -176,7 +175,7 @@ def stages(recording: Recording) -> dict[str, float]:
             "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), f),
             "path": lambda t=track, c=calibration, f=foot: ground_path(t, c, foot=f),
             "toe and heel": lambda w=walked: point_heights(w.paths(), None, level=True),
-            "strides as results, when asked for": lambda w=walked: (w.strides(), w.paths().each()),
+            "strides as results, when asked for": lambda w=walked: (w.strides(), each_path(w.paths())),
             "events": lambda d=data, c=calibration: find_events(*d, c),
         }
         for name, work in parts.items():

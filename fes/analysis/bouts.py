@@ -1,25 +1,22 @@
 """Walking bouts of a free-living or clinic day, and within them turns, stairs and slopes.
 
 A bout is walking with at least two strides of each foot and no break of more than three seconds (Kluge et al. 2021, the
-Mobilise-D consensus). A stride counts only where the feet alternate: it has a neighbour of the other foot. Legs that
-swing, tap or bounce while one sits do so alone or at the same place, and a foot that is moved once has no second. Of a
-recording of one foot there is no such evidence: three strides in a row and a true rest are asked for.
+Mobilise-D consensus). A stride counts only where the feet alternate; legs that swing, tap or bounce while one sits do
+so alone or at the same place. Of one foot alone three strides in a row and a true rest are asked for.
 
-Turns: where the walker's heading changes faster than 15°/s, to 45° at least (El-Gohary et al. 2014; here 30°). The
-heading's rate is the mean of both feet's, each foot's turn spread evenly over its stride.
-
-Stairs and slopes by the height that a stride gained as the sensor alone shows it: a stair's pitch is 20 to 45°
-(EN 17210), a walkable slope is under 1 in 5.
+Turns: where the heading, the mean of both feet's, changes faster than 15°/s, to 45° at least (El-Gohary et al. 2014;
+here 30°). Stairs and slopes by the height that a stride gained as the sensor alone shows it: a stair's pitch is 20 to
+45° (EN 17210), a walkable slope is under 1 in 5.
 
 Aggregates over bouts of several lengths are those of Mobilise-D (mobgap): all, 10 to 30 s, over 10, 30 and 60 s.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -104,8 +101,7 @@ class Turn:
     angle_rad: float
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
+class Stretch(NamedTuple):
     """Strides in a row on one ``terrain``."""
 
     begin_s: float
@@ -306,8 +302,8 @@ def walking_only(analyses: Iterable[Analysis], kept: list[Stride]) -> Iterator[A
 
 
 def bout_tables(bouts: Sequence[Bout]) -> dict[str, list[dict[str, Any]]]:
-    """All tables by their names."""
-    rows = bout_rows(bouts)
+    """All tables by their names: a flat row per bout, per turn, per stretch of one terrain, per length of bouts."""
+    rows = [bout.row(number) for number, bout in enumerate(bouts, 1)]
     return {
         "bouts": rows,
         "turns": turn_rows(bouts),
@@ -316,35 +312,28 @@ def bout_tables(bouts: Sequence[Bout]) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def bout_rows(bouts: Sequence[Bout]) -> list[dict[str, Any]]:
-    """One flat row per bout."""
-    return [bout.row(number) for number, bout in enumerate(bouts, 1)]
-
-
 def turn_rows(bouts: Sequence[Bout]) -> list[dict[str, Any]]:
     """One flat row per turn."""
-    names = [column.name for column in TURN_COLUMNS]
-    return [
-        dict(zip(names, (number, turn.begin_s, turn.end_s, turn.end_s - turn.begin_s, turn.angle_rad), strict=True))
-        for number, bout in enumerate(bouts, 1)
-        for turn in bout.turns()
-    ]
+    return _rows(TURN_COLUMNS, bouts, Bout.turns, lambda t: (t.begin_s, t.end_s, t.end_s - t.begin_s, t.angle_rad))
 
 
 def terrain_rows(bouts: Sequence[Bout]) -> list[dict[str, Any]]:
     """One flat row per stretch of one terrain."""
-    names = [column.name for column in TERRAIN_COLUMNS]
-    return [
-        dict(zip(names, (number, s.begin_s, s.end_s, s.terrain, s.strides, s.height_gained_m), strict=True))
-        for number, bout in enumerate(bouts, 1)
-        for s in bout.terrain()
-    ]
+    return _rows(TERRAIN_COLUMNS, bouts, Bout.terrain, tuple)
+
+
+def _rows(
+    columns: Sequence[Column], bouts: Sequence[Bout], of: Callable[[Bout], list[Any]], values: Callable[[Any], Any]
+) -> list[dict[str, Any]]:
+    names = [column.name for column in columns]
+    numbered = ((number, each) for number, bout in enumerate(bouts, 1) for each in of(bout))
+    return [dict(zip(names, (number, *values(each)), strict=True)) for number, each in numbered]
 
 
 def length_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Over bouts of each length of :data:`LENGTHS_S`: how many, how long, how far; means and the 90th percentile.
 
-    ``rows`` are of :func:`bout_rows`. A mean over bouts counts every bout once, however long.
+    ``rows`` are of :data:`BOUT_COLUMNS`. A mean over bouts counts every bout once, however long.
     """
     found = []
     for name, (least, most) in LENGTHS_S.items():

@@ -5,17 +5,16 @@ the events as they would be known on-line (Kumar et al. 2015), beside those foun
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from fes.estimation.events.causal import Decision, OnlineEvent, OnlineEvents, Rule
+from fes.estimation.events.causal import Decision, OnlineEvent
 from fes.estimation.events.offline import GaitEvents
-from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.strides.schema import Column
 from fes.estimation.zupt.detectors import Detector
-from fes.signals import NS_PER_S, FloatArray, IntArray
+from fes.signals import NS_PER_S
 
 FARTHEST_NS = 250_000_000  # an off-line event farther away is another one
 CAUSAL_EVENT_COLUMNS = (
@@ -37,29 +36,11 @@ class Methods:
     not fused with the path's.
     """
 
-    detector: Detector = (
-        Detector.SHOE
-    )  # of zero velocity, for the path and the lengths fused with it (Skog et al. 2010)
+    # of zero velocity, for the path and the lengths fused with it (Skog et al. 2010)
+    detector: Detector = Detector.SHOE
     stride_method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
     per_sample: bool = False  # the ZUPT-aided filter does not go over intervals of some hundredths of a second
     causal_events: bool = False  # also the events as they would be known on-line
-
-
-@dataclass(slots=True)
-class CausalEvents:
-    """One foot's causal decisions, by both rules, whatever the blocks in which its samples come."""
-
-    calibration: FootCalibration
-    _machines: dict[Rule, OnlineEvents] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._machines = {rule: OnlineEvents(self.calibration, rule) for rule in Rule}
-
-    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[tuple[str, Decision]]:
-        """Decisions on the next samples (N,), (N, 3), (N, 3); arguments as for ``OnlineEvents.advance``."""
-        samples = t_ns, acc_mps2, gyr_radps
-        found = self._machines.items()
-        return [(rule.name.lower(), decision) for rule, events in found for decision in events.advance(*samples)]
 
 
 def causal_event_rows(foot: str, decisions: Iterable[tuple[str, Decision]], events: GaitEvents) -> list[dict[str, Any]]:

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from fes.analysis.examination import key_numbers, without_lies
-from fes.analysis.ground_path import GroundPath, continued, ground_path, without_relative_drift
-from fes.analysis.methods import CausalEvents, Methods
+from fes.analysis.ground_path import GroundPath, continued, fuse, ground_path, without_relative_drift
+from fes.analysis.methods import Methods
 from fes.analysis.results import Analysis
-from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import ToeAndHeel, point_heights
 from fes.calibration.recording import (
     SensorCalibrations,
@@ -20,6 +19,7 @@ from fes.calibration.recording import (
     stored_calibrations,
 )
 from fes.config import FootGeometry, Ground
+from fes.estimation.events.causal import OnlineEvents, Rule
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
@@ -113,7 +113,7 @@ class _AnalysisRun:
     ) -> None:
         self._calibrations, self._geometry = dict(calibrations), geometry
         self._methods, self._ground = methods, ground
-        self._causal: dict[str, CausalEvents] = {}
+        self._causal: dict[str, dict[Rule, OnlineEvents]] = {}
         self._trackers: dict[str, Tracker] = {}
         self._points: dict[str, ToeAndHeel] = {}
         self._paths: dict[str, GroundPath] = {}
@@ -199,8 +199,10 @@ class _AnalysisRun:
         result.blocks[sensor], result.counts[sensor] = block, tracker.counts
         result.events[sensor] = find_events(*newer_samples(track), calibration)
         if methods.causal_events:
-            causal = self._causal.setdefault(sensor, CausalEvents(calibration))
-            result.causal_events[sensor] = causal.advance(*_own_samples(chunk, track))
+            causal = self._causal.setdefault(sensor, {rule: OnlineEvents(calibration, rule) for rule in Rule})
+            own = _own_samples(chunk, track)
+            found = ((rule.name.lower(), events.advance(*own)) for rule, events in causal.items())
+            result.causal_events[sensor] = [(rule, decision) for rule, told in found for decision in told]
 
 
 def _own_samples(chunk: Chunk, track: Track) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -18,8 +18,8 @@ from fes.analysis.toe_and_heel import ToeAndHeel
 from fes.config import Ground
 from fes.estimation.events.causal import Decision
 from fes.estimation.events.offline import GaitEvents, foot_strike_angles
-from fes.estimation.foot.block_results import TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import TrackedBlock
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.strides import schema
 from fes.estimation.strides.boundaries import UNSEEN_NS

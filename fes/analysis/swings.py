@@ -1,18 +1,15 @@
 """How often a foot swung, from the raw signals alone: what strides are counted against.
 
 Nothing of the phase machine, of calibration or of the stride solver is used, and no constant of theirs, so that what
-they miss is seen. A swing is one rise of the foot's pitch: in the air the foot turns toe-up, from about −60° at foot
-off to about +20° before contact in sound gait (Winter 2009; Perry & Burnfield 2010). No peak of a rate is looked at, no
-rest and no jerk: a slap at contact is a *fall* of the pitch, a forefoot landing prolongs the rise, weight shifts turn
-the foot by a few degrees only.
+they miss is seen. A swing is one rise of the foot's pitch: in the air it turns toe-up, from about −60° at foot off to
+about +20° before contact in sound gait (Winter 2009; Perry & Burnfield 2010). A slap at contact is a *fall* of the
+pitch, a forefoot landing prolongs the rise, weight shifts turn the foot by a few degrees only.
 
 - *up*: the median specific force of the quietest quarter of the samples;
 - *axis*: of the angles about level axes (rates below 5 Hz, integrated, without what is slower than 0.15 Hz) the
-  direction with the most variance. Of angles, not of rates: rolling onto an edge is fast, but small;
-- *sign*: a foot stands for most of the cycle and then travels fast, so its speed is skewed towards forward;
-- *rises*: between turning points of the pitch that are at least 3° apart. One of ``SURE`` of the typical rise (the
-  median of the greater two thirds) is a swing; one of ``POSSIBLE`` may be one (a step on the spot, a pivot),
-  and so may one that the recording's end cuts. *Mid-swing* is where half of the rise is done.
+  direction with the most variance; its sign by the foot's speed, which is skewed towards forward;
+- *rises*: between turning points at least 3° apart. One of ``SURE`` of the typical rise (the median of the greater two
+  thirds) is a swing; one of ``POSSIBLE`` may be one (a step on the spot), and so may one that the recording's end cuts.
 """
 
 from collections.abc import Iterable

@@ -10,16 +10,13 @@ from fes.config import FootGeometry
 from fes.estimation.clearance.clearance import (
     HEEL,
     TOE,
-    AnyPaths,
     FootPaths,
     arms_of,
     clearances,
     contact_heights,
     contact_levels,
-    join_paths,
 )
 from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
-from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.strides.integration import MOST_INCLINE
 from fes.signals import BoolArray, FloatArray
@@ -74,7 +71,7 @@ class ToeAndHeel:
         return said if sd.observed else f"{said}. Partly assumed, not measured: {sd.reason}"
 
 
-def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -> tuple[FloatArray | None, ToeAndHeel]:
+def point_heights(paths: FootPaths, given: FootGeometry | None, *, level: bool) -> tuple[FloatArray | None, ToeAndHeel]:
     """Clearance of toe and heel (K, 2) of strides with these paths, None if not known, and where the two are.
 
     Where the ground is not level, heights count from the line between the stances of each stride. Strides too steep for
@@ -82,7 +79,7 @@ def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -
     with another part of the sole.
     """
     if not level and len(paths):
-        paths, sloping = laid_level(join_paths(paths))
+        paths, sloping = laid_level(paths)
         found, points = point_heights(paths, given, level=True)
         if found is None:
             return None, points if sloping.any() else ToeAndHeel(None, reason="they do not show on stairs")
@@ -91,7 +88,6 @@ def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -
         return heights, points
     if not len(paths):
         return None, ToeAndHeel(None, reason="no stride could be used")
-    paths = join_paths(paths)
     estimate = estimate_geometry(paths) if given is None else None
     geometry = given if estimate is None else estimate.geometry
     assert geometry is not None
@@ -122,7 +118,7 @@ def laid_level(paths: FootPaths) -> tuple[FootPaths, BoolArray]:
         quaternion[own] = paths.quaternion[own] @ product
         position[own] = paths.position_m[own] @ _turn(axis, angle).T
         leans.append(math.asin(rotate_all(quaternion[own][:1], paths.foot[:, 0])[0, 2]))
-    lean = median(np.array(leans)) if leans else 0.0
+    lean = float(np.median(np.array(leans))) if leans else 0.0
     foot = np.ascontiguousarray(_turn(paths.foot[:, 1], lean) @ paths.foot)
     kept = replace(
         paths, numbers=paths.numbers[sloping], spans=paths.spans[sloping], swings_ns=paths.swings_ns[sloping],

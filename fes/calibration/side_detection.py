@@ -16,7 +16,8 @@ import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.shank.motion import rotate_each, travelled
+from fes.estimation.numerics.rotation import rotate_all
+from fes.estimation.shank.motion import travelled
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.signals import FloatArray, IntArray, StrideResult
 
@@ -99,7 +100,7 @@ def stride_signs(
     if length < MIN_LENGTH_M or not 0 < off < contact < len(position):
         return None
     leftward = np.array([-direction[1], direction[0]]) / length
-    toe = rotate_each(quaternions[:1], forward[None])[0]
+    toe = rotate_all(quaternions[:1], forward)[0]
     toe_out = float(np.arctan2(direction[0] * toe[1] - direction[1] * toe[0], direction @ toe[:2]))
     step_s = 1e-9 * np.diff(t_ns[first + off : first + contact + 1])
     roll = float((gyr[first + off : first + contact] @ forward) @ step_s)

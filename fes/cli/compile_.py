@@ -66,7 +66,7 @@ def compile_part(part: str) -> None:
 
     KeyError: there is no such part.
     """
-    from fes.analysis.stride_fusion import lengths_along
+    from fes.analysis.ground_path import lengths_along
     from fes.estimation.events.offline import find_events
     from fes.estimation.warm_up import made_up_calibration, made_up_foot, made_up_steps, warm_up
     from fes.estimation.zupt.foot_trajectory import foot_samples

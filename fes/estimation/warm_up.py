@@ -11,8 +11,7 @@ from fes.estimation.numerics.jit import PLAIN, keep_compiled, signatures
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.lever_arm import ArmEstimate
 from fes.estimation.shank.motion import StrideSpan
-from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
-from fes.estimation.shank.tracker import ShankTracker
+from fes.estimation.shank.tracker import ShankIntegrationSettings, ShankTracker, solve_shank_stride
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.estimation.tracking.tracker import History
 from fes.signals import G_MPS2, FloatArray, IntArray

@@ -1,6 +1,6 @@
 """The witness of a session's foot sensors, a process of its own: ``… witness_process SOCKET_FD PARENT_PID LOG``.
 
-It reads the log as it grows and hears each foot's sensor again after its strides (:mod:`fes.witness.hearing`). What has
+It reads the log as it grows and hears each foot's sensor again after its strides (:mod:`fes.witness.verdict`). What has
 changed is sent as one datagram of JSON: the sensor, its lies and why they are not known, in words. It decides nothing,
 runs when nobody else wants the processor, and rests five times as long as it has worked.
 """
@@ -21,7 +21,7 @@ from fes.session_log.framing import LogScan, RecordType, SessionLogError
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from fes.witness.hearing import Hearing
+    from fes.witness.verdict import Hearing
 
 POLL_S: Final = 0.5
 RESTS: Final = 5.0  # times as long as it has worked
@@ -59,7 +59,7 @@ class Growing:
 
 def new_hearing(sensor: str, rate_hz: float) -> "Hearing":
     """Loads compiled code, so not before there are samples."""
-    from fes.witness.hearing import Hearing
+    from fes.witness.verdict import Hearing
 
     return Hearing(sensor, rate_hz)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fes.estimation.numerics.ranks import median
 from fes.recording.csv_layout import Dialect
 from fes.recording.several_files import joined_table
 from fes.recording.sidecar import Sensor, SensorColumns, Sidecar
@@ -69,7 +68,8 @@ def judge_stamps(
         raise RecordingError(f"{where}: its time never advances; check time_column")
     if backward.size:
         refuse_wild_clock(steps, backward, where, place)
-    usual_ns = median(forward) if shortest < longest else float(shortest)  # stamps made from a rate are often even
+    # stamps made from a rate are often even
+    usual_ns = float(np.median(forward)) if shortest < longest else float(shortest)
     _refuse_impossible_rate(NS_PER_S / usual_ns, where, unit)
     if stated_hz is not None:  # it must fit the usual interval or, where stamps bunch, the mean one
         usual_hz = NS_PER_S / usual_ns

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.estimation.numerics.ranks import median
 from fes.recording.can_log import CAN_SUFFIXES, read_can_log
 from fes.recording.containers import container_of
 from fes.recording.csv_layout import has_rows
@@ -81,7 +80,7 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, 
         return 0
     first_rows = next(read_parts(path, sidecar_path, sidecar, FIRST_ROWS), {})
     steps = {name: np.diff(raw.t_sensor_ns) for name, raw in first_rows.items()}
-    rates = [NS_PER_S / median(each[each > 0]) for each in steps.values() if (each > 0).any()]
+    rates = [NS_PER_S / float(np.median(each[each > 0])) for each in steps.values() if (each > 0).any()]
     if not rates or max(rates) > (1.0 + RATE_TOLERANCE) * min(rates):
         return 0
     parts = math.ceil(rows / (part_s * max(rates))) if rows > whole_s * max(rates) else 1

@@ -12,7 +12,6 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import BeforeValidator
 
-from fes.estimation.numerics.ranks import median, percentile
 from fes.recording.tracks import RecordingError
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray
 
@@ -94,12 +93,12 @@ class _Spreads:
 
     def relative(self) -> FloatArray:
         """The spread (K,) as a share of the usual one, so that no unit is needed."""
-        return self.spread / (median(self.spread) or 1.0)
+        return self.spread / (float(np.median(self.spread)) or 1.0)
 
     def size_in(self, windows: IntArray) -> float:
         """The usual length in some of the windows."""
         within = self.squares[: len(self.spread) * self.window].reshape(-1, self.window)
-        return median(np.sqrt(within[windows]).ravel())
+        return float(np.median(np.sqrt(within[windows]).ravel()))
 
 
 def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> tuple[float, float]:
@@ -207,7 +206,7 @@ def _check_turning(
     fast = np.count_nonzero(squares >= (MIN_MOVING_RADPS / factor) ** 2) > 0.01 * (len(squares) - 1) + 1
     if fast and squares.max() <= (MAX_RATE_RADPS / factor) ** 2:
         return
-    peak = percentile(np.sqrt(squares), 99.0)
+    peak = float(np.percentile(np.sqrt(squares), 99.0))
     fitting = next((other for other, size in GYR_UNITS.items() if 1.0 <= peak * size <= 40.0), "")  # of a walking leg
     fix = f'this looks like {fitting}: set gyr_unit = "{fitting}"' if fitting else "check gyr and gyr_unit"
     if peak * factor > MAX_RATE_RADPS:
@@ -215,7 +214,7 @@ def _check_turning(
             f"{where}: the gyroscope's peaks of {peak:.4g} (99th percentile) with gyr_unit = {_shown(unit)} would be "
             f"{math.degrees(peak * factor):.0f} deg/s, more than any leg turns; {fix}"
         )
-    moved = percentile(np.abs(factors[0] * np.sqrt(acc_squares) - G_MPS2), 99.0)
+    moved = float(np.percentile(np.abs(factors[0] * np.sqrt(acc_squares) - G_MPS2), 99.0))
     if moved > MOVING_MPS2 and peak * factor < MIN_MOVING_RADPS:
         raise RecordingError(
             f"{where}: the accelerometer shows movement ({moved:.1f} m/s² beside gravity), but the gyroscope's peaks "
@@ -262,7 +261,7 @@ def repaired(stamps_ns: IntArray, *, doubled: bool = False) -> tuple[IntArray, i
     forward = steps[steps > 0]
     if not forward.size:
         return stamps_ns, 0
-    usual_ns = median(forward)
+    usual_ns = float(np.median(forward))
     before, at, after = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
     apart, due = after - before, before + (after - before) // 2
     wrong = (np.abs(at - due) > FAR_INTERVALS * usual_ns) | (doubled & (at == before))

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fes.estimation.strides.boundaries import stride_time_ns
+from fes.estimation.strides.boundaries import UNSEEN_NS, stride_time_ns
 from fes.report.stimulation import Burst, ChannelInfo, PhaseTimeline
 from fes.report.text import count_of, without_numbers
 from fes.signals import NS_PER_S, OperatorAction, StimCommand, StrideResult
@@ -96,7 +96,7 @@ def stride_rows(
         starts = [np.array([burst.t_start_ns for burst in every], dtype=np.int64) for _, every in near]
         own_refused = [command for command in in_time if foot_of.get(command.channel) == foot]
         refused_ns = np.array([command.t_ns for command in own_refused], dtype=np.int64)
-        before_ns: int | None = None
+        before_ns = UNSEEN_NS
         for stride in own:
             low, high = np.searchsorted(refused_ns, [stride.t_start_ns, stride.t_end_ns])
             reasons = {without_numbers(command.refused): command.refused for command in own_refused[low:high][::-1]}

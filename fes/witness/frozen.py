@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from fes.estimation.numerics.filters import runs
 from fes.recording.tracks import PER_SAMPLE, Track
 from fes.signals import G_MPS2, FloatArray
 
@@ -22,8 +23,7 @@ def frozen_rows(track: Track) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """(N,) samples that only repeat what was read before, in stretches of 60 ms and more."""
     columns = (*track.acc_mps2.T, *track.gyr_radps.T)
     same = np.append(False, np.logical_and.reduce([column[1:] == column[:-1] for column in columns]))
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False])).astype(np.int8)))
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for begin, end in runs(same).tolist():
         brief = track.t_sensor_ns[end - 1] - track.t_sensor_ns[begin - 1] < FROZEN_NS
         if brief or _rests(np.column_stack([column[begin - 1 : end + 1] for column in columns])):
             same[begin:end] = False

@@ -11,6 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from benchmarks.lib.foot_paths import join_paths
 from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -78,7 +79,7 @@ def test_runs_of_one_patient_give_the_same_geometry(benchmark: ModuleType, patie
     found: list[EstimatedGeometry] = []
     for path in sorted((DATA / "stroke_treadmill").glob(f"{patient}_*.npz")):
         tracks, _ = runs.load_run(path)
-        found.append(estimate_geometry(benchmark.walked(tracks[foot])[1]))
+        found.append(estimate_geometry(join_paths(benchmark.walked(tracks[foot])[1])))
     assert len(found) >= 3
     assert np.ptp([each.geometry.toe_up_m for each in found]) <= 0.016
     assert np.ptp([each.geometry.toe_forward_m for each in found]) <= 0.012

@@ -17,16 +17,16 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from stepping_feet import Steps, calibration, stepping
 
+from benchmarks.lib.foot_paths import FootPath, join_paths
 from fes.analysis.hemiparetic.walk import hemiparetic_walk
 from fes.analysis.parameters.contacts import Swings, no_swings, swings_of
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import Statistic, gait_parameters, mean_strides, statistic, symmetry
-from fes.analysis.parameters.motion import motions, pitches, stride_shapes, variations, warped
+from fes.analysis.parameters.motion import _warp, motions, pitches, stride_shapes, variations
 from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_of
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.tables import by_column
 from fes.cli.main import main
-from fes.estimation.clearance.clearance import FootPath, join_paths
 from fes.estimation.events.offline import GaitEvents
 from fes.recording import Recording, read_recording
 from fes.report.tables import parameter_lines, parameter_table
@@ -138,7 +138,10 @@ def test_a_stride_lifted_higher_varies_by_what_it_is_higher():
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=30), st.lists(st.floats(-5, 5), min_size=1, max_size=30))
 def test_warping_goes_from_end_to_end_without_leaps(one, other):
-    i, j = warped(np.array(one), np.array(other))
+    n, m = len(one), len(other)
+    way = np.empty((n + m, 2), np.int64)
+    first = _warp(np.array(one), np.array(other), np.empty((n + m, n + 2)), way)
+    i, j = way[first:].T
     assert (i[0], j[0]) == (0, 0)
     assert (i[-1], j[-1]) == (len(one) - 1, len(other) - 1)
     steps = np.column_stack((np.diff(i), np.diff(j)))

@@ -16,7 +16,13 @@ import pytest
 from click.testing import CliRunner
 from test_zupt import STRIDE_M, walk
 
-from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
+from fes.analysis.ground_path import (
+    GroundPath,
+    _pointing_ahead,
+    _without_false_turns,
+    ground_path,
+    without_relative_drift,
+)
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.tables import Table
 from fes.calibration.recording import calibrate_track
@@ -354,3 +360,24 @@ def test_pandas_is_asked_for_only_when_wanted(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match="pip install pandas"):
         table.to_pandas()
+
+
+def test_false_turns_between_stances_go() -> None:
+    rng = np.random.default_rng(11)
+    t_ns = 10**15 + np.cumsum(rng.integers(20_000_000, 60_000_000, 200))
+    stance_ns, heading = t_ns[10::20] + 3_000_000, np.cumsum(rng.uniform(-0.2, 0.2, 200))
+    assert np.array_equal(_without_false_turns(t_ns, heading, stance_ns), heading)
+    between = [(stance_ns[k] + stance_ns[k + 1]) // 2 for k in (3, 6)]  # a whole turn to the left, two to the right
+    wrong = heading + 2.0 * math.pi * ((t_ns >= between[0]) - 2.0 * (t_ns >= between[1]))
+    assert _without_false_turns(t_ns, wrong, stance_ns) == pytest.approx(heading, abs=1e-12)
+
+
+@pytest.mark.parametrize(("reach_m", "at"), [(3.0, 21), (1.0, 32)])
+def test_x_points_to_where_a_path_is_two_metres_away_or_farthest(reach_m: float, at: int) -> None:
+    along = reach_m * np.concatenate((np.linspace(0.0, 1.0, 32), np.linspace(1.0, 0.0, 32)))
+    place = np.column_stack((-along, 0.3 * np.sin(np.arange(64.0) / 9.0), np.arange(64.0)))
+    turned, facing = _pointing_ahead(place, np.full(64, 7.0))
+    assert turned[at] == pytest.approx([math.hypot(*place[at, :2]), 0.0, at], abs=1e-12)
+    assert np.hypot(*turned[:, :2].T) == pytest.approx(np.hypot(*place[:, :2].T))
+    far = math.atan2(place[at, 1], place[at, 0])
+    assert facing == pytest.approx(np.full(64, math.remainder(7.0 - far, 2.0 * math.pi)))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fes.analysis.ground_path import fuse, lengths_along
 from fes.analysis.pipeline import analyse, calibrations_of
-from fes.analysis.stride_fusion import fuse, lengths_along
 from fes.analysis.swings import find_swings, turning_points
 from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.tracker import FootTracker

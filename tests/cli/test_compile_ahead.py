@@ -145,7 +145,7 @@ def test_after_compiling_ahead_nothing_is_left_to_compile(tmp_path: Path) -> Non
 
 SOLVED = """
 import numpy as np
-from fes.estimation.numerics.linear import solve
+from fes.estimation.numerics.filters import solve
 system = np.array([[2.0, 0.0, 4.0], [0.0, 4.0, 4.0]])
 assert solve(system, 2) and system[:, 2].tolist() == [2.0, 1.0]
 assert solve(np.array([[1.0, 1.0]])[:, ::1], 1) and solve(np.ones((4, 2))[::2], 1)

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pivoting_foot import ARMS, CONTACT_S, END_S, FOOT_OFF_S, rotation, stride, upstairs
+from pivoting_foot import ARMS, CONTACT_S, END_S, FOOT_OFF_S, arms, geometry_of, rotation, stride, upstairs
 
+from benchmarks.lib.foot_paths import FootPath, each_path, join_paths
 from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
     AFTER,
@@ -22,57 +23,42 @@ from fes.estimation.clearance.clearance import (
     TOE,
     ContactLevels,
     FootArms,
-    FootPath,
     clearances,
     contact_heights,
     contact_levels,
 )
-from fes.estimation.clearance.geometry import estimate_geometry
+from fes.estimation.clearance.geometry import (
+    HEEL_BEHIND_M,
+    PLAUSIBLE_HEEL_M,
+    PLAUSIBLE_HEIGHT_M,
+    PLAUSIBLE_TOE_M,
+)
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.numerics.rotation import foot_axes
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import read_recording
-from fes.signals import FloatArray, StrideResult
-from fes.simulation.sensor import quaternions
+from fes.signals import FloatArray
 
 SMALL = st.floats(-0.1, 0.1)
 SIM = Path(__file__).resolve().parents[2] / "sim_inputs"
 
 
 def rise(path: FootPath, arm_m: tuple[float, float, float]) -> FloatArray:
-    return np.asarray(path.position_m[:, 2] + path.tilt @ np.array(arm_m))
+    tilt = path.axes[:, 2, :] - path.axes[0, 2, :]
+    return np.asarray(path.position_m[:, 2] + tilt @ np.array(arm_m))
 
 
 def levels_of(paths: list[FootPath], arms: FootArms) -> ContactLevels | None:
-    return contact_levels(contact_heights(paths, arms))
+    return contact_levels(contact_heights(join_paths(paths), arms))
 
 
 def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = None) -> FloatArray:
-    return clearances([path], arms, levels)[0]
-
-
-@settings(deadline=None)  # the first time it compiles
-@given(arm=st.tuples(SMALL, SMALL, SMALL), turn=st.tuples(*[st.floats(-1.2, 1.2)] * 6))
-def test_a_point_rises_as_its_lever_says_however_the_sensor_is_mounted(
-    arm: tuple[float, float, float], turn: tuple[float, ...]
-) -> None:
-    share = np.linspace(0.0, 1.0, 40)
-    foot = rotation(turn[0] * share, turn[1] * share, turn[2] * share)
-    mount = rotation(*(np.array([angle]) for angle in turn[3:]))[0]
-    way = np.column_stack([share, 0.1 * share, 0.2 * np.sin(math.pi * share)])
-    stamps = np.arange(40) * 5_000_000
-    axes = np.empty((40, 3, 3))
-    foot_axes(quaternions(foot @ mount.T), mount[:, 0].copy(), mount[:, 2].copy(), axes)
-    path = FootPath(1, stamps, way, axes, None, None)
-    np.testing.assert_allclose(path.axes, foot, atol=1e-9)
-    height = (way + foot @ np.array(arm))[:, 2]
-    np.testing.assert_allclose(rise(path, arm), height - height[0], atol=1e-9)
+    return clearances(join_paths([path]), arms, levels)[0]
 
 
 def test_steps_up_and_down_change_neither_geometry_nor_contacts() -> None:
     level = [stride(ARMS, landing_rad=angle) for angle in (0.3, 0.35, 0.4, 0.35, 0.3)]
     stairs = [upstairs(path, 0.34) for path in level]
-    flat, up = estimate_geometry(level).geometry, estimate_geometry(stairs).geometry
+    flat, up = geometry_of(level).geometry, geometry_of(stairs).geometry
     assert up.heel_forward_m == pytest.approx(flat.heel_forward_m, abs=1e-6)
     assert up.toe_forward_m == pytest.approx(flat.toe_forward_m, abs=1e-6)
     low, high = levels_of(level, ARMS), levels_of(stairs, ARMS)
@@ -170,7 +156,7 @@ def test_level_ground_is_known_from_the_recording_and_a_slope_stays_one() -> Non
         assert levels is not None
         assert levels.rise_m == pytest.approx(kept_m, abs=1e-6)
         assert levels.rise_weight > 0.9
-        heights = contact_heights(paths[:1], ARMS)
+        heights = contact_heights(join_paths(paths[:1]), ARMS)
         risen_m = 0.5 * (rise(paths[0], ARMS.toe_m)[-1] + rise(paths[0], ARMS.heel_m)[-1])
         assert heights[0, 2] == pytest.approx(risen_m)
         assert risen_m + levels.drifts(heights)[0, 2] == pytest.approx(kept_m, abs=0.002)
@@ -198,11 +184,10 @@ def test_a_tracker_shows_the_path_of_every_valid_stride() -> None:
     recording = read_recording(SIM / "both_feet_200hz.parquet")
     track = recording.tracks["right_foot"]
     calibration = calibrate_track(track)
-    paths: list[FootPath] = []
-    chosen = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), watch=paths.append)
+    chosen = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up))
     tracker = FootTracker(calibration, StrideMaker("right_foot", chosen))
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    strides = [each for each in outcomes if isinstance(each, StrideResult)]
+    block = tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    strides, paths = block.strides(), each_path(block.paths())
     valid = [each for each in strides if each.valid]
     assert [path.number for path in paths] == [each.number for each in valid]
     assert len(paths) > 40
@@ -213,3 +198,79 @@ def test_a_tracker_shows_the_path_of_every_valid_stride() -> None:
         over = z - z[-1] * (x * x[-1] + y * y[-1]) / length2  # the line from stance to stance
         assert over.max() == pytest.approx(each.clearance_m)
     assert all(math.isnan(each.toe_clearance_m) for each in strides)
+
+
+FORWARD = st.floats(0.03, 0.2)
+SOLE = st.floats(0.19, 0.25)
+HEIGHT = st.floats(0.035, 0.1)
+
+
+@settings(deadline=None, max_examples=60)
+@given(forward=FORWARD, sole=SOLE, height=HEIGHT)
+def test_the_geometry_of_a_foot_that_turns_about_toe_and_heel_is_found(
+    forward: float, sole: float, height: float
+) -> None:
+    true = arms(forward, sole, height)
+    found = geometry_of([stride(true, landing_rad=angle) for angle in (0.3, 0.35, 0.4, 0.45)])
+    assert found.observed, found.reason
+    assert found.strides == 4
+    heel = forward - sole - HEEL_BEHIND_M  # the foot here is not round: it touches the ground with its very heel
+    assert -found.geometry.toe_up_m == pytest.approx(height, abs=0.005)
+    assert found.geometry.heel_up_m == found.geometry.toe_up_m
+    assert found.geometry.toe_forward_m == pytest.approx(forward, abs=0.010)
+    assert found.geometry.heel_forward_m == pytest.approx(heel, abs=0.013)
+    assert 0.003 < found.height_sd_m < 0.012
+    assert 0.005 < found.toe_forward_sd_m < 0.02
+    assert 0.005 < found.heel_forward_sd_m < 0.025
+
+
+def test_later_foot_off_as_a_session_may_ask_for_finds_the_same_toe() -> None:
+    paths = [stride(ARMS, landing_rad=angle) for angle in (0.3, 0.35, 0.4)]
+    later = [replace(path, foot_off_ns=(path.foot_off_ns or 0) + 40_000_000) for path in paths]
+    assert geometry_of(later).geometry == geometry_of(paths).geometry
+
+
+def test_a_foot_that_lands_flat_shows_no_heel_and_gets_it_from_the_prior() -> None:
+    flat = geometry_of([stride(ARMS, landing_rad=0.02)] * 8)
+    assert not flat.observed
+    assert "the heel shows in 0 strides" in flat.reason
+    assert "toe" not in flat.reason
+    assert flat.geometry.toe_forward_m == pytest.approx(0.12, abs=0.005)
+    assert flat.geometry.heel_forward_m == pytest.approx(flat.geometry.toe_forward_m - 0.22, abs=0.003)
+    assert flat.heel_forward_sd_m > 0.025
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_strides_give_the_prior(count: int) -> None:
+    found = geometry_of([stride(ARMS)] * count)
+    assert not found.observed
+    assert "3 are needed" in found.reason
+    assert found.geometry.toe_forward_m == pytest.approx(0.09)
+    assert found.geometry.heel_forward_m == pytest.approx(-0.13)
+    assert found.geometry.toe_up_m == found.geometry.heel_up_m == pytest.approx(-0.065)
+    assert found.toe_forward_sd_m == pytest.approx(0.05)
+
+
+@settings(deadline=None, max_examples=60)
+@example(seed=1, size=0.1875, turn=0.0)
+@given(seed=st.integers(0, 10_000), size=st.floats(0.0, 3.0), turn=st.floats(0.0, 2.0))
+def test_no_path_gives_a_wild_arm(seed: int, size: float, turn: float) -> None:
+    rng = np.random.default_rng(seed)
+    paths = []
+    for path in [stride(ARMS, number=number) for number in range(5)]:
+        n = len(path.t_ns)
+        axes = rotation(*(turn * rng.normal(size=(3, 1)) * np.linspace(0.0, 1.0, n))) @ path.axes
+        paths.append(replace(path, position_m=path.position_m + size * rng.normal(size=(n, 3)), axes=axes))
+    g = geometry_of(paths).geometry
+    assert PLAUSIBLE_HEIGHT_M[0] < -g.toe_up_m < PLAUSIBLE_HEIGHT_M[1]
+    assert PLAUSIBLE_TOE_M[0] < g.toe_forward_m < PLAUSIBLE_TOE_M[1]
+    assert PLAUSIBLE_HEEL_M[0] - 0.05 < g.heel_forward_m < PLAUSIBLE_HEEL_M[1] + 0.05  # unseen, it follows the toe
+    assert 0.14 < g.toe_forward_m - g.heel_forward_m < 0.33
+
+
+def test_an_impossible_foot_is_refused_with_a_reason() -> None:
+    short = arms(0.05, 0.1, 0.06)
+    found = geometry_of([stride(short)] * 5)
+    assert not found.observed
+    assert "apart" in found.reason
+    assert 0.15 < found.geometry.toe_forward_m - found.geometry.heel_forward_m < 0.3

@@ -67,7 +67,7 @@ SOLVED = """
 import sys
 import numpy as np
 from fes.estimation.numerics.jit import KEPT, compiled_here
-from fes.estimation.numerics.linear import solve
+from fes.estimation.numerics.filters import solve
 
 def solved(kind):
     system = np.array([[2.0, 0.0, 4.0], [0.0, 4.0, 4.0]], kind)
@@ -93,7 +93,7 @@ def kept(cache: Path, suffix: str = "") -> list[Path]:
     return [path for path in sorted(cache.rglob(f"kept/*/*{suffix}")) if path.is_file()]
 
 
-SOLVE = "fes.estimation.numerics.linear.solve"
+SOLVE = "fes.estimation.numerics.filters.solve"
 
 
 def test_compiled_once_and_nothing_is_left_beside_it(tmp_path: Path) -> None:

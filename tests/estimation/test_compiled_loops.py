@@ -10,43 +10,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fes.estimation.numerics.filters import into_rows, spreads
-from fes.estimation.numerics.ranks import median
-from fes.estimation.numerics.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
+from fes.estimation.numerics.rotation import quaternions_of, rotate_all, up_in_sensor
 from fes.estimation.strides.integration import height_and_turn, stride_shape
 from fes.estimation.zupt.covariance import STATES, WIDTH, update, update_velocity
-from fes.estimation.zupt.detectors import least_spread, stillest
-from fes.estimation.zupt.trajectory import (
-    bend,
-    fast_atan2,
-    headings,
-    point_ahead,
-    positions_at,
-    remove_false_turns,
-    resample,
-    slopes,
-    turn_path,
-)
+from fes.estimation.zupt.detectors import window_variances
+from fes.estimation.zupt.foot_trajectory import turn_path
 
 RNG = np.random.default_rng(11)
 
 
 @pytest.mark.parametrize("n", [7, 50])
-def test_the_stillest_windows_are_those_of_the_plain_formula(n: int) -> None:
-    scale = 0.2 + np.abs(np.sin(np.arange(400) / 37.0))[:, None]
-    acc, gyr = RNG.normal(0.0, 1.0, (400, 3)) * scale + 9.0, RNG.normal(0.0, 0.3, (400, 3)) * scale
-    step = 5
-    spreads = [
-        (math.sqrt(gyr[i : i + n].var(axis=0).sum()) / 0.08 + math.sqrt(acc[i : i + n].var(axis=0).sum()) / 0.3, i)
-        for i in range(0, 400 - n + 1, step)
-    ]
-    begin, turning, shaking = stillest(acc, gyr, n, step, 0.3, 0.08)
-    assert (turning / 0.08 + shaking / 0.3, begin) == pytest.approx(min(spreads))
-    greatest = [
-        (gyr[i : i + n].std(axis=0).max() + 0.1 * acc[i : i + n].std(axis=0).max(), i) for i in range(0, 400 - n, step)
-    ]
-    begin, spread = least_spread(acc, gyr, n, step, 0.1)
-    assert (spread, begin) == pytest.approx(min(greatest))
-    assert least_spread(acc[:n], gyr[:n], n, step, 0.1)[0] == -1
+def test_the_variances_of_windows_are_numpys(n: int) -> None:
+    x = RNG.normal(9.0, 1.0, (400, 3))
+    wanted = [x[i : i + n].var(axis=0) for i in range(0, 400 - n + 1, 5)]
+    assert window_variances(x, n, 5) == pytest.approx(np.array(wanted))
+    assert len(window_variances(x[: n - 1], n, 5)) == 0
 
 
 def test_windows_run_through_stretches_as_if_these_followed_each_other() -> None:
@@ -147,102 +125,6 @@ def test_a_strides_tilt_is_of_the_foot_even_where_it_swings_about_another_axis(
     assert np.abs(out[:, 4] - tilt).max() > math.radians(3.0)  # nothing but the calibrated axis is known then
 
 
-@pytest.mark.parametrize("stances", [1, 2, 7])
-def test_a_path_is_bent_piece_by_piece(stances: int) -> None:
-    n = 300
-    t_ns = 10**15 + np.cumsum(RNG.integers(1_000_000, 30_000_000, n))
-    position, heading = np.cumsum(RNG.normal(0.01, 0.01, (n, 3)), axis=0), RNG.normal(0.0, 1.0, n)
-    stance_ns = np.sort(RNG.choice(t_ns[20:-20], stances, replace=False))
-    place, turned = np.empty((n, 3)), np.empty(n)
-    bend(t_ns, stance_ns, 0.7, position, heading, place, turned)
-    since, stances_s = ((t - t_ns[0]).astype(np.float64) for t in (t_ns, stance_ns))
-    angle = 0.7 * np.interp(since, stances_s, np.arange(stances, dtype=np.float64))
-    assert turned == pytest.approx(heading + angle, abs=1e-12)
-    steps = np.exp(0.5j * (angle[1:] + angle[:-1])) * np.diff(position[:, 0] + 1j * position[:, 1])
-    assert np.diff(place[:, 0] + 1j * place[:, 1]) == pytest.approx(steps, abs=1e-12)
-    assert np.array_equal(place[0], position[0])
-    assert np.array_equal(place[:, 2], position[:, 2])
-
-
-def test_headings_turn_by_less_than_half_a_turn_each_time() -> None:
-    angle = np.cumsum(RNG.uniform(-3.0, 3.0, 200))
-    out = np.empty(200)
-    about_up = np.column_stack((np.cos(angle / 2), np.zeros((200, 2)), np.sin(angle / 2)))
-    headings(about_up, np.array([0.0, 1.0, 0.2]), out)
-    assert out == pytest.approx(np.unwrap(np.arctan2(np.cos(angle), -np.sin(angle))), abs=1e-10)
-
-
-def test_a_toe_that_points_straight_up_keeps_its_heading() -> None:
-    to_the_left, up, out = (0.5, -0.5, -0.5, -0.5), (1.0, 0.0, 0.0, 0.0), np.empty(4)
-    headings(np.array([up, to_the_left, up, to_the_left]), np.array([0.0, 0.0, 1.0]), out)
-    assert out == pytest.approx([0.0, math.pi / 2, math.pi / 2, math.pi / 2])
-
-
-def test_angles_are_those_of_atan2() -> None:
-    around = np.concatenate((np.linspace(-math.pi, math.pi, 201), np.linspace(-0.13, 0.13, 201)))
-    found = [fast_atan2(3.0 * math.sin(angle), 3.0 * math.cos(angle)) for angle in around.tolist()]
-    assert found == pytest.approx(around, rel=1e-15, abs=1e-15)
-
-
-def test_false_turns_between_stances_go() -> None:
-    t_ns = 10**15 + np.cumsum(RNG.integers(20_000_000, 60_000_000, 200))
-    stance_ns = t_ns[10::20] + 3_000_000
-    heading = np.cumsum(RNG.uniform(-0.2, 0.2, 200))
-    found = heading.copy()
-    remove_false_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
-    assert np.array_equal(found, heading)
-    middles = (stance_ns[1:] + stance_ns[:-1]) // 2
-    wrong = heading + 2.0 * math.pi * (
-        (t_ns > stance_ns[4] - 10**8).astype(float) - 2.0 * (t_ns > stance_ns[7] - 10**8)
-    )
-    since, stances = (t_ns - t_ns[0]).astype(float), (stance_ns - t_ns[0]).astype(float)
-    at_stance = np.interp(stances, since, wrong)
-    off = np.unwrap(at_stance) - at_stance
-    assert np.rint(off / (2.0 * math.pi)).tolist() == [0.0] * 4 + [-1.0] * 3 + [1.0] * 3
-    found = wrong.copy()
-    remove_false_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
-    assert found == pytest.approx(wrong + off[np.searchsorted(middles, t_ns, side="right")], abs=1e-12)
-
-
-def test_what_is_kept_of_a_way_lies_on_it() -> None:
-    t_ns = 10**15 + np.cumsum(RNG.integers(5_000_000, 60_000_000, 60))
-    place, velocity, facing = RNG.normal(0.0, 1.0, (60, 3)), RNG.normal(0.0, 1.0, (60, 3)), RNG.normal(0.0, 1.0, 60)
-    kept_ns = np.concatenate((t_ns[:1] - 10**8, t_ns[[0, 7]], np.sort(RNG.integers(t_ns[7], t_ns[-1], 90)), t_ns[-1:]))
-    kept_ns = np.append(kept_ns, t_ns[-1] + 10**8)
-    position, heading, wanted = np.empty((len(kept_ns), 3)), np.empty(len(kept_ns)), np.empty((len(kept_ns), 3))
-    resample(t_ns, place, velocity, facing, kept_ns, position, heading)
-    positions_at(t_ns, place, velocity, kept_ns, wanted)
-    assert position == pytest.approx(wanted, abs=1e-13)
-    assert position[[0, 1, 2, -1]] == pytest.approx(place[[0, 0, 7, -1]], abs=1e-15)
-    since, known = ((t - t_ns[0]).astype(np.float64) for t in (kept_ns, t_ns))
-    assert heading == pytest.approx(np.interp(since, known, facing), abs=1e-13)
-    order, back = RNG.permutation(len(kept_ns)), np.empty((len(kept_ns), 3))
-    positions_at(t_ns, place, velocity, kept_ns[order], back)
-    assert np.array_equal(back, wanted[order])
-
-
-@pytest.mark.parametrize(("reach_m", "at"), [(3.0, 21), (1.0, 32)])
-def test_x_points_to_where_a_path_is_two_metres_away_or_farthest(reach_m: float, at: int) -> None:
-    along = reach_m * np.concatenate((np.linspace(0.0, 1.0, 32), np.linspace(1.0, 0.0, 32)))
-    aside = 0.3 * np.sin(np.arange(64.0) / 9.0)
-    place = np.column_stack((-along, aside, np.arange(64.0)))
-    heading = np.full(64, 7.0)
-    far = math.atan2(place[at, 1], place[at, 0])
-    turned, facing = place.copy(), heading.copy()
-    point_ahead(turned, facing)
-    assert turned[at] == pytest.approx([math.hypot(*place[at, :2]), 0.0, at], abs=1e-12)
-    assert np.hypot(*turned[:, :2].T) == pytest.approx(np.hypot(*place[:, :2].T))
-    assert facing == pytest.approx(np.full(64, math.remainder(7.0 - far, 2.0 * math.pi)))
-
-
-def test_slopes_are_those_of_all_pairs_far_enough_apart() -> None:
-    values, places = RNG.normal(0.0, 1.0, 40), np.cumsum(RNG.integers(1, 4, 40)).astype(np.float64)
-    earlier, later = np.triu_indices(40, 10)
-    out = np.empty(len(earlier))
-    slopes(values, places, 10, out)
-    assert out == pytest.approx((values[later] - values[earlier]) / (places[later] - places[earlier]))
-
-
 def test_a_way_is_turned_about_the_vertical() -> None:
     place, velocity, q = RNG.normal(0.0, 1.0, (9, 3)), RNG.normal(0.0, 1.0, (9, 3)), RNG.normal(0.0, 1.0, (9, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
@@ -255,19 +137,11 @@ def test_a_way_is_turned_about_the_vertical() -> None:
     assert rotate_all(turned[2], axis) == pytest.approx(rotate_all(q, axis) @ about_z.T)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 10, 1001])
-def test_a_median_is_numpys(n: int) -> None:
-    for values in (RNG.normal(0.0, 1.0, n), RNG.integers(0, 5, n), np.full(n, np.inf)):
-        assert median(values) == np.median(values)
-    assert math.isnan(median(np.empty(0)))
-
-
 def test_rotations_go_to_matrices_and_back() -> None:
     q = RNG.normal(0.0, 1.0, (50, 4))
     q[:4] = np.eye(4)  # half turns about each axis, and none
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    axes = np.empty((50, 3, 3))
-    foot_axes(q, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), axes)
+    axes = np.stack([rotate_all(q, axis) for axis in np.eye(3)], axis=2)
     back = quaternions_of(axes)
     assert back * np.sign((back * q).sum(axis=1, keepdims=True)) == pytest.approx(q, abs=1e-14)
     for turned, matrix in zip(q.tolist(), axes, strict=True):

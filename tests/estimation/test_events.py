@@ -299,7 +299,7 @@ def test_a_wrong_first_guess_is_tuned_away(guess: float) -> None:
     walk = made_walk(strides=12)
     decisions = machine.advance(*walk)
     assert np.count_nonzero([d.event is OnlineEvent.IC for d in decisions]) == 12
-    assert machine.typical_push_off_radps == pytest.approx(9.0, rel=0.05)
+    assert machine._state["typical_peak"] == pytest.approx(9.0, rel=0.05)
     assert machine.thresholds[1] == pytest.approx(STRIDE_S / 3.0, rel=0.02)
 
 
@@ -307,7 +307,7 @@ def test_tuning_follows_a_walker_who_weakens() -> None:
     machine = OnlineEvents(calibration())
     decisions = machine.advance(*made_walk(strides=30, late_scale=0.45))
     assert [d.event for d in decisions] == [OnlineEvent.FO, OnlineEvent.MID_SWING, OnlineEvent.IC] * 30
-    assert machine.typical_push_off_radps == pytest.approx(0.45 * 9.0, rel=0.05)
+    assert machine._state["typical_peak"] == pytest.approx(0.45 * 9.0, rel=0.05)
 
 
 @pytest.mark.parametrize("rule", list(Rule))

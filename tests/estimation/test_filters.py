@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import numpy as np
@@ -16,18 +15,11 @@ from scipy.signal import butter, find_peaks, sosfiltfilt
 from fes.estimation.events.offline import filter_signals
 from fes.estimation.foot.features import STATE, FootParameters
 from fes.estimation.numerics.filters import (
-    BLOCK,
     PADDING,
     falls_apart,
-    largest_in_blocks,
-    likeness,
-    likeness_of_lengths,
     low_pass,
     moving_sums,
-    rows_of_at_least,
-    thinned_sizes,
 )
-from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.records import core_type, new_core, record_type, struct_of
 from fes.estimation.tracking.tracker import FULL, LARGEST_VALUE, RESTART_GAP_NS, SILENCE, History, SampleCounts, Samples
 from fes.signals import FloatArray, IntArray
@@ -97,80 +89,6 @@ def test_falls_and_their_peaks_are_scipys(x: FloatArray, half: int, apart: int) 
 
 def test_no_samples_do_not_fall() -> None:
     assert [len(found) for found in falls_apart(np.zeros(0), 5, 3)] == [0, 0]
-
-
-@settings(deadline=None)
-@given(st.integers(0, 3 * BLOCK), st.integers(0, 2**32 - 1))
-def test_the_largest_in_blocks_and_the_rows_in_them(n: int, seed: int) -> None:
-    x = np.random.default_rng(seed).normal(size=(n, 3))
-    sizes = np.abs(x).max(axis=1, initial=0.0)
-    largest = largest_in_blocks(x)
-    assert largest.tolist() == [sizes[i : i + BLOCK].max() for i in range(0, n, BLOCK)]
-    rows, found = rows_of_at_least(2.5, x, largest)
-    assert np.array_equal(rows[found >= 2.5], np.flatnonzero(sizes >= 2.5))
-    assert np.array_equal(found, sizes[rows])
-    for bad in (np.nan, -np.nan, np.inf):
-        for i in range(0, n, 17):
-            spoilt = x.copy()
-            spoilt[i, i % 3] = bad
-            assert not largest_in_blocks(spoilt)[i // BLOCK] < np.inf
-
-
-@settings(deadline=None)
-@given(st.integers(1, 60), st.integers(0, 30), st.integers(1, 80), st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_likeness_is_the_correlation_with_itself(n: int, shortest: int, lags: int, step: int, seed: int) -> None:
-    x = np.random.default_rng(seed).normal(size=(n * step + step - 1, 3))
-    size, found = np.empty(n), np.empty(lags)
-    thinned_sizes(x, step, size)
-    assert np.allclose(size, np.linalg.norm(x, axis=1)[: n * step].reshape(n, step).mean(axis=1), rtol=1e-13)
-    likeness(size, shortest, found)
-    wanted = np.concatenate((np.correlate(size, size, "full")[n - 1 :], np.zeros(shortest + lags)))[shortest:][:lags]
-    assert np.allclose(found, wanted, rtol=1e-12, atol=1e-12)
-    level = size - size.mean()
-    likeness(level, shortest, wanted)
-    assert likeness_of_lengths(x, step, shortest, found) == pytest.approx(level @ level, rel=1e-11, abs=1e-13)
-    assert np.allclose(found, wanted, rtol=1e-11, atol=1e-11)
-
-
-# --- Medians and percentiles are numpy's, to the bit ---
-
-
-NUMBERS = st.lists(st.floats(-1e12, 1e12) | st.sampled_from([0.0, 1.0, 2.0]), min_size=1, max_size=60)
-
-
-@given(NUMBERS, st.floats(0.0, 100.0) | st.sampled_from([0.0, 15.0, 50.0, 99.0, 100.0]))
-def test_they_are_numpys(numbers: list[float], percent: float) -> None:
-    values = np.array(numbers)
-    assert median(values) == np.median(values)
-    assert percentile(values, percent) == np.percentile(values, percent)
-    np.testing.assert_array_equal(values, numbers, err_msg="what is given stays in its order")
-
-
-@given(st.lists(st.integers(-(2**60), 2**60), min_size=1, max_size=60))
-def test_a_median_of_whole_numbers(numbers: list[int]) -> None:
-    assert median(np.array(numbers, np.int64)) == np.median(np.array(numbers, np.int64))
-
-
-@pytest.mark.parametrize("size", [10_001, 10_002])
-def test_of_many(size: int) -> None:
-    values = np.random.default_rng(size).gamma(1.0, 3.0, size)
-    assert median(values) == np.median(values)
-    for percent in (0.0, 15.0, 38.2, 99.0, 100.0):
-        assert percentile(values, percent) == np.percentile(values, percent)
-
-
-@given(NUMBERS, st.integers(0, 59), st.floats(0.0, 100.0))
-def test_nan_among_them_tells(numbers: list[float], at: int, percent: float) -> None:
-    values = np.array(numbers)
-    values[at % len(values)] = math.nan
-    assert math.isnan(median(values))
-    assert math.isnan(percentile(values, percent))
-
-
-def test_of_none() -> None:
-    assert math.isnan(median(np.zeros(0)))
-    with pytest.raises(IndexError):
-        percentile(np.zeros(0), 50.0)
 
 
 # --- Which samples a tracker uses, and what it keeps of them ---

@@ -15,7 +15,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fes.calibration.recording import calibrate_track
-from fes.estimation.clearance.clearance import FootPath
 from fes.estimation.closures import SOUND, closures
 from fes.estimation.foot import features as kernel
 from fes.estimation.foot import tracker as one_foot
@@ -145,14 +144,6 @@ def test_blocks_may_be_cut_anywhere(foot: str, cuts: list[int]) -> None:
 
 
 @pytest.mark.parametrize("foot", FEET)
-def test_sample_by_sample_is_the_whole_block(foot: str) -> None:
-    samples, calibration = walk(foot)
-    tracker = tracker_of(calibration)
-    assert facts(fed(tracker, samples, list(range(1, len(samples))))) == whole(foot)[0]
-    assert tracker._state.tobytes() == whole(foot)[1]
-
-
-@pytest.mark.parametrize("foot", FEET)
 def test_one_sample_at_a_time_as_live_is_the_whole_block(foot: str) -> None:
     samples, calibration = walk(foot)
     tracker = tracker_of(calibration)
@@ -191,21 +182,6 @@ def test_samples_live_and_in_blocks_may_take_turns() -> None:
         outcomes += stepped(tracker, part) if number % 2 else fed(tracker, part)
     assert facts(outcomes) == whole("left_foot")[0]
     assert tracker._state.tobytes() == whole("left_foot")[1]
-
-
-def test_who_watches_sees_the_same_path_live() -> None:
-    samples, calibration = walk("right_foot")
-    samples = samples[: samples.at_s(24.0)]
-    seen: list[list[FootPath]] = []
-    for give in (fed, stepped):
-        paths: list[FootPath] = []
-        settings = StrideSettings(calibration.forward(), np.array(calibration.up), watch=paths.append)
-        give(FootTracker(calibration, StrideMaker(calibration.sensor, settings)), samples)
-        seen.append(paths)
-    assert len(seen[0]) == len(seen[1]) > 8
-    for one, other in zip(*seen, strict=True):
-        assert (one.number, one.t_ns.tolist()) == (other.number, other.t_ns.tolist())
-        assert one.position_m.tobytes() == other.position_m.tobytes()
 
 
 def test_the_history_is_free_of_bias_with_the_orientation_beside_it() -> None:

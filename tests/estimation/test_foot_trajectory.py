@@ -7,22 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_zupt import STRIDE_M, rests, walk
+from scipy.spatial.transform import Rotation
+from test_zupt import STRIDE_M, UP, rests, walk
 
-from fes.analysis.stride_fusion import SETTINGS
+from fes.analysis.ground_path import STRIDE_SETTINGS
 from fes.estimation.zupt import foot_trajectory
-from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, interval_noise, predict, propagate_error, spread_noise
+from fes.estimation.zupt.covariance import STATES, WIDTH, interval_noise, predict, propagate_error, spread_noise
 from fes.estimation.zupt.decimation import ZuptSettings, gather, gather_intervals
 from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, Detector, statistic, window_samples
+from fes.estimation.zupt.filter import _propagate_back
 from fes.estimation.zupt.foot_trajectory import foot_samples
-from fes.estimation.zupt.smoother import _propagate_back
 from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray
 from fes.simulation.truth import load_truth
-from tests.estimation.zupt_reference import add_noise as add_sample_noise
-from tests.estimation.zupt_reference import predict as predict_sample
-from tests.estimation.zupt_reference import zupt_path
 
 NO_BIAS = (0.0, 0.0, 0.0)
 
@@ -44,28 +42,25 @@ def test_an_exact_walk_comes_out_exact_at_any_rate(rate_hz: float) -> None:
     assert np.diff(path.t_ns).max() < 60_000_000
 
 
-@pytest.mark.parametrize("settings", [ZuptSettings(), SETTINGS])
+@pytest.mark.parametrize("settings", [ZuptSettings(), STRIDE_SETTINGS])
 @pytest.mark.parametrize("level", [True, False])
-@pytest.mark.parametrize("per_sample", [True, False])
-def test_intervals_and_the_reference_agree(settings: ZuptSettings, level: bool, per_sample: bool) -> None:
+def test_intervals_and_single_samples_agree(settings: ZuptSettings, level: bool) -> None:
     """On a noisy walk with clipping and a jolt at each contact, they are millimetres apart, all along the way."""
     t_ns, acc, gyr, _, _ = walk(200.0, 12)
     rng = np.random.default_rng(8)
     acc = acc + rng.normal(0.0, 0.1, acc.shape) + (0.05, -0.03, 0.02)
     gyr = gyr + rng.normal(0.0, 0.005, gyr.shape) + (0.002, -0.003, 0.001)
     acc[np.arange(2, 10) * 220 + 505] += 120.0
-    foot = foot_samples(t_ns, acc, gyr, per_sample=per_sample)
-    by_intervals = foot.trajectory(settings, level=level)
-    by_samples = zupt_path(
-        t_ns, acc, gyr, calibration=foot.thresholds, rest=foot.zero_velocity, level_ground=level, settings=settings
+    by_intervals, by_samples = (
+        foot_samples(t_ns, acc, gyr, per_sample=each).trajectory(settings, level=level) for each in (False, True)
     )
-    late = t_ns[t_ns >= by_intervals.t_ns[0]]
-    apart = by_intervals.positions_at(late) - by_samples.position_m[-len(late) :]
-    assert np.abs(apart).max() < 0.03
-    begin, end = rests(200.0, 12)
-    assert np.hypot(*(by_intervals.positions_at(end) - by_intervals.positions_at(begin))[:, :2].T) == pytest.approx(
-        by_samples.stride_lengths(begin, end), abs=0.004
+    assert len(by_samples.t_ns) > 3 * len(by_intervals.t_ns)
+    assert np.abs(by_intervals.positions_at(by_samples.t_ns) - by_samples.position_m).max() < 0.03
+    one, other = (
+        np.hypot(*np.subtract(*(path.positions_at(at) for at in rests(200.0, 12)))[:, :2].T)
+        for path in (by_intervals, by_samples)
     )
+    assert one == pytest.approx(other, abs=0.004)
 
 
 def test_prediction_is_that_of_matrices_and_the_adjoint_its_transpose() -> None:
@@ -103,31 +98,32 @@ def test_an_intervals_noise_is_that_of_its_samples() -> None:
     at_once, nothing = np.zeros(STATES * WIDTH), np.zeros((2, 3, 3))
     predict(at_once, 1, nothing, nothing, 9 * dt, q, p)
 
-    one_by_one, scratch = np.zeros(STATES * WIDTH), np.empty(BIASES * WIDTH)
-    turn = np.eye(3)
+    one_by_one, turn = np.zeros((STATES, STATES)), np.eye(3)
     for i in range(1, n):
         part = gather_intervals(t_ns[i - 1 : i + 1], acc[i - 1 : i + 1], gyr[i - 1 : i + 1], none, none, rest, NO_BIAS)
         force = turn @ part.push[1] / dt
-        rotation = turn @ part.mean[1] / dt
-        predict_sample(one_by_one, scratch, rotation, force, dt)
-        rate = float(np.linalg.norm(0.5 * (gyr[i - 1] + gyr[i])))
-        add_sample_noise(one_by_one, acc, i, force, rate, none, none, dt, p)
-        w, x, y, z = part.turn[1]
-        turn = turn @ np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-    found, wanted = (v.reshape(STATES, WIDTH)[3:9, 3:9] for v in (at_once, one_by_one))
+        beyond = max(float(np.linalg.norm(acc[i] - acc[i - 1])) - p.jerk_mps3 * dt, 0.0)
+        pushed = (p.acc_noise_mps2_rthz**2 + p.acc_scale_noise**2 * float(np.sum((force - UP) ** 2))) * dt
+        pushed += beyond**2 / 12.0 * dt * dt
+        rate2 = float(np.sum((0.5 * (gyr[i - 1] + gyr[i])) ** 2))
+        turned = (p.rate_noise_radps_rthz**2 + p.rate_scale_noise**2 * rate2) * dt
+        phi = np.eye(STATES)
+        phi[:3, 3:6] = dt * np.eye(3)
+        phi[3:6, 6:9] = dt * np.cross(np.eye(3), force).T
+        phi[:3, 6:9] = 0.5 * dt * phi[3:6, 6:9]
+        of_push = np.vstack((0.5 * dt * np.eye(3), np.eye(3)))
+        one_by_one = phi @ one_by_one @ phi.T
+        one_by_one[:6, :6] += pushed * of_push @ of_push.T
+        one_by_one[6:9, 6:9] += turned * np.eye(3)
+        turn = turn @ Rotation.from_quat(part.turn[1], scalar_first=True).as_matrix()
+    at_once = at_once.reshape(STATES, WIDTH)[:, :STATES]
+    found, wanted = at_once[3:9, 3:9], one_by_one[3:9, 3:9]
     assert found == pytest.approx(wanted, rel=0.02, abs=0.02 * float(np.abs(wanted[3:, :3]).max()))
-    places = [v.reshape(STATES, WIDTH)[0, 0] for v in (at_once, one_by_one)]
-    assert places[0] == pytest.approx(places[1], rel=0.05)
+    assert at_once[0, 0] == pytest.approx(one_by_one[0, 0], rel=0.05)
 
     adjoint, x = rng.normal(size=(2, STATES)), np.zeros(STATES)
     spread_noise(0, x, q[1:], adjoint, 9 * dt, p)
-    assert x == pytest.approx(-at_once.reshape(STATES, WIDTH)[:, :STATES] @ adjoint[0], rel=1e-9)
+    assert x == pytest.approx(-at_once @ adjoint[0], rel=1e-9)
 
 
 def test_between_intervals_the_trajectory_is_smooth() -> None:
@@ -184,7 +180,6 @@ def test_where_nothing_can_be_told_it_says_so(monkeypatch: pytest.MonkeyPatch) -
 # --- Zero-velocity detectors: Skog's formulas, causal and centred windows ---
 
 
-UP = np.array([0.0, 0.0, G_MPS2])
 BIAS = np.array([0.02, -0.01, 0.03])
 
 SIMULATED = Path(__file__).resolve().parents[2] / "sim_inputs"

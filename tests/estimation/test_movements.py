@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from fes.estimation.foot.movements import BACK, closures, contact_jumps, follow, moving_mean
+from fes.estimation.foot.movements import BACK, closures, contact_jumps, follow
+from fes.estimation.numerics.filters import moving_mean
 from fes.estimation.numerics.rotation import from_gravity, to_world, up_in_sensor
 from fes.estimation.strides.integration import integrate, orient
 from fes.signals import G_MPS2, FloatArray, IntArray
@@ -124,7 +125,8 @@ def test_a_movement_too_short_to_integrate_leads_nowhere() -> None:
 
 @pytest.mark.parametrize("window", [1, 2, 5, 10])
 def test_a_moving_mean_is_over_what_there_is(window: int) -> None:
-    x = RNG.normal(0.0, 1.0, 40)
+    x = RNG.normal(0.0, 1.0, (40, 2))
     before, after = window // 2, window - window // 2
-    wanted = [x[max(i - before, 0) : i + after].mean() for i in range(40)]
+    wanted = [x[max(i - before, 0) : i + after].mean(axis=0) for i in range(40)]
     assert moving_mean(x, window) == pytest.approx(np.array(wanted))
+    assert np.array_equal(moving_mean(x[:, 0], window), moving_mean(x, window)[:, 0])

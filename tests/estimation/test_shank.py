@@ -18,22 +18,20 @@ from benchmarks.accuracy.shank_phases import shank_strides
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.sensor_choice import phase_sensors, shank_phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
-from fes.estimation.shank.lever_arm import ANKLE, ARM_BOUNDS_M, SHANK, ArmEstimate, ArmPrior, learn_arm
+from fes.estimation.shank.lever_arm import ARM_BOUNDS_M, SHANK, ArmEstimate, learn_arm
 from fes.estimation.shank.motion import (
     ShankLevels,
     fit_levels,
     levelled,
-    moving_mean,
-    rotate_each,
     still_spans,
     stride_spans,
     swing_peaks,
     trace_of,
 )
-from fes.estimation.shank.strides import ShankIntegrationSettings
-from fes.estimation.shank.tracker import ShankTracker
+from fes.estimation.shank.tracker import ShankIntegrationSettings, ShankTracker
 from fes.estimation.tracking.phase_features import LEAST, MOST
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, ImuSample, IntArray, OperatorAct, OperatorAction, StimRequest, StrideResult
@@ -294,10 +292,8 @@ def test_what_is_no_walking_does_not_stimulate(what: str) -> None:
 # --- Shank strides on an inverted pendulum with exact truth: reset, lever arm, calibration, stairs ---
 
 
-def calibrated(walk: ShankWalk, *, prior: ArmPrior = SHANK) -> ShankCalibration:
-    return calibrate_shank(
-        "left_shank", walk.rate_hz, walk.t_ns, walk.acc, walk.gyr, prior=prior, level=walk.rise_m == 0.0
-    )
+def calibrated(walk: ShankWalk) -> ShankCalibration:
+    return calibrate_shank("left_shank", walk.rate_hz, walk.t_ns, walk.acc, walk.gyr, level=walk.rise_m == 0.0)
 
 
 def strides(walk: ShankWalk, calibration: ShankCalibration, arm: FloatArray | None) -> list[StrideResult]:
@@ -315,8 +311,8 @@ def true_arm(walk: ShankWalk) -> FloatArray:
     return np.asarray(walk.sensor_from_shank @ walk.arm_m)
 
 
-def estimate(walk: ShankWalk, prior: ArmPrior = SHANK) -> ArmEstimate:
-    return calibrated(walk, prior=prior).arm
+def estimate(walk: ShankWalk) -> ArmEstimate:
+    return calibrated(walk).arm
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -391,14 +387,6 @@ def test_standing_on_a_belt_that_starts_is_no_rest_to_start_from() -> None:
     assert arm.anchored == 0
     assert arm.windows > 0
     assert estimate(shank_walk(strides=30, seed=5, standing_s=2.0)).anchored == 0  # too long to be integrated at once
-
-
-def test_an_ankle_sensor_with_its_own_prior() -> None:
-    walk = shank_walk(arm_m=(0.0, 0.02, 0.12), seed=6)
-    calibration = calibrated(walk, prior=ANKLE)
-    assert calibration.arm.length_m == pytest.approx(0.12, abs=0.02)
-    results = strides(walk, calibration, np.array(calibration.arm.arm_m))
-    assert mean_length(results) == pytest.approx(walk.stride_length_m, rel=0.015)
 
 
 def test_nothing_to_learn_from_falls_back_to_the_prior_and_says_why() -> None:
@@ -520,8 +508,8 @@ def test_levelled_puts_gravity_upright_over_the_stride() -> None:
     span = spans[4]
     quaternions = levelled(walk.t_ns, walk.acc, walk.gyr, (span.first, span.last), 5)
     assert quaternions.shape == (span.last - span.first + 11, 4)
-    up = rotate_each(quaternions, np.tile(walk.sensor_from_shank[:, 2], (len(quaternions), 1)))
-    forward = rotate_each(quaternions, np.tile(walk.sensor_from_shank[:, 0], (len(quaternions), 1)))
+    up = rotate_all(quaternions, walk.sensor_from_shank[:, 2])
+    forward = rotate_all(quaternions, walk.sensor_from_shank[:, 0])
     lean = np.degrees(np.arctan2(-forward[:, 2], up[:, 2]))
     assert lean.max() == pytest.approx(38.0, abs=1.5)
     assert lean.min() == pytest.approx(-24.0, abs=1.5)
@@ -534,13 +522,6 @@ def test_still_spans_are_the_standing() -> None:
     assert rests[0][0] < 20
     assert 120 < rests[0][1] < 230
     assert still_spans(shank_walk(seed=14).acc, shank_walk(seed=14).gyr, 100.0) == []
-
-
-def test_moving_mean_is_the_mean() -> None:
-    x = np.arange(10.0)
-    np.testing.assert_allclose(moving_mean(x, 3)[1:-1], x[1:-1])
-    np.testing.assert_allclose(moving_mean(np.stack((x, 2 * x), 1), 3)[:, 1], 2 * moving_mean(x, 3))
-    assert moving_mean(x, 1) is x
 
 
 def test_calibration_survives_the_session_log() -> None:

@@ -21,13 +21,14 @@ from fes.calibration.recording import calibrate_track
 from fes.config import FootGeometry, Stimulation
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.numerics.filters import runs
 from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.boundaries import UNSEEN_NS, stride_time_ns
 from fes.estimation.strides.integration import double_integral, effects, goes_backward, integrate, orient
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker, StrideSettings
 from fes.estimation.strides.schema import COLUMNS, LIVE_TABLE, STRIDE, TABLE, table_row
-from fes.estimation.zupt.thresholds import mark_missed_stances, quietest_instants
+from fes.estimation.zupt.thresholds import SHORTEST_MOVE_S, stance_instants
 from fes.recording.tracks import Track
 from fes.session_log.codec import decode, encode
 from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, StrideResult
@@ -699,7 +700,7 @@ def test_a_stride_that_outlasts_the_history() -> None:
     [(None, 100), (1000, 100), (940, 160), (900, 200), (899, 100), (1001, 100), (1050, 100)],
 )
 def test_a_rest_no_longer_than_the_stride_is_part_of_it(before_ns: int | None, time_ns: int) -> None:
-    assert stride_time_ns(1000, 1100, before_ns) == time_ns
+    assert stride_time_ns(1000, 1100, UNSEEN_NS if before_ns is None else before_ns) == time_ns
 
 
 @pytest.mark.parametrize("speed_mps", [0.2, 0.6])
@@ -803,45 +804,32 @@ def test_a_stride_goes_backward_where_the_heel_points(ahead_m: float, turn_rad: 
     assert goes_backward(quaternion, position, turn_rad, 1.0, 0.0, 0.0) == backward
 
 
-# --- Quietest instants of rests and of long movements, against the same in plain numpy ---
+# --- Quietest instants of rests and of long movements, against the same in plain words ---
 
 
 REST = st.integers(40, 200).flatmap(lambda n: arrays.arrays(np.bool_, n))
 
 
-def spans_of(mask):
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return edges[0::2].tolist(), edges[1::2].tolist()
-
-
 @settings(deadline=None)
-@given(REST, st.integers(0, 5), st.integers(0, 2**32 - 1))
-def test_the_quietest_of_every_rest(rest, apart, seed):
+@given(REST, st.integers(0, 2**32 - 1))
+def test_the_quietest_of_every_rest(rest, seed):
     energy = np.random.default_rng(seed).integers(0, 9, len(rest)).astype(np.float64)
-    out = np.empty(len(rest) // 2 + 1, np.int64)
-    found = out[: quietest_instants(rest, energy, float(apart), out)]
     joined: list[list[int]] = []
-    for begin, end in zip(*spans_of(rest), strict=True):
-        if joined and begin - joined[-1][1] < apart:
+    for begin, end in runs(rest).tolist():
+        if joined and begin - joined[-1][1] < 100.0 * SHORTEST_MOVE_S:
             joined[-1][1] = end
         else:
             joined.append([begin, end])
-    assert found.tolist() == [begin + int(energy[begin:end].argmin()) for begin, end in joined]
+    found = stance_instants(rest, energy, 100.0).tolist()
+    assert found == [begin + int(energy[begin:end].argmin()) for begin, end in joined]
 
 
 @settings(deadline=None)
-@given(REST, st.integers(12, 40), st.integers(0, 2**32 - 1))
-def test_long_movements_are_split_at_their_quietest(rest, longest, seed):
-    energy = np.random.default_rng(seed).random(len(rest))
-    half, margin = 1, round(0.32 * longest)
-    expected = rest.copy()
-    todo = list(zip(*spans_of(~rest), strict=True))
-    while todo:
-        begin, end = todo.pop()
-        if end - begin > longest:
-            quiet = begin + margin + int(np.argmin(energy[begin + margin : end - margin]))
-            expected[quiet - half : quiet + half + 1] = True
-            todo += [(begin, quiet - half), (quiet + half + 1, end)]
-    found = rest.copy()
-    mark_missed_stances(found, energy, float(longest), half, margin)
-    assert np.array_equal(found, expected)
+@given(REST)
+def test_runs_are_what_is_true(rest):
+    found = runs(rest)
+    assert (
+        np.concatenate([np.zeros(0, int), *(np.arange(*each) for each in found)]).tolist()
+        == np.flatnonzero(rest).tolist()
+    )
+    assert (found[1:, 0] > found[:-1, 1]).all()

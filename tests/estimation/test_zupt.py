@@ -1,45 +1,33 @@
-"""The ZUPT-aided filter's reference: analytic walks, smoothed as Rauch, Tung, Striebel, covariance, causality."""
+"""The ZUPT-aided filter and smoother: exact walks, how errors grow, the textbook's smoothing, honest covariances."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, update
-from fes.estimation.zupt.decimation import ZuptSettings
-from fes.estimation.zupt.detectors import Detector, rate_energy
-from fes.estimation.zupt.foot_trajectory import clipped_sd
-from fes.estimation.zupt.thresholds import (
-    BoolArray,
-    ZeroVelocityThresholds,
-    stance_instants,
-    stride_time_s,
-    with_missed_stances,
-)
-from fes.recording import read_recording
-from fes.signals import G_MPS2, FloatArray, IntArray
-from fes.simulation.truth import load_truth
-from tests.estimation.zupt_reference import (
-    Tape,
-    ZuptPath,
-    add_noise,
-    forward,
+from fes.estimation.zupt.covariance import STATES, propagate_error, spread_noise
+from fes.estimation.zupt.decimation import ZuptSettings, gather, gather_intervals, start_variances
+from fes.estimation.zupt.detectors import rate_energy
+from fes.estimation.zupt.filter import (
+    IntervalTape,
+    _integrate,
+    filter_intervals,
     new_tape,
-    predict,
-    propagate_one,
-    smooth,
-    zupt_path,
+    rotate_in_world,
+    smooth_intervals,
 )
+from fes.estimation.zupt.foot_trajectory import Trajectory, clipped_sd
+from fes.estimation.zupt.thresholds import stance_instants, stride_time_s, with_missed_stances
+from fes.signals import G_MPS2, BoolArray, FloatArray, IntArray
 
-SIMULATED = Path(__file__).resolve().parents[2] / "sim_inputs"
 UP = np.array([0.0, 0.0, G_MPS2])
 STRIDE_M, STEP_S, REST_S = 1.2, 0.6, 0.5
 FIRM = ZuptSettings(drift_speed_mps=0.0)
-STANDING = ZeroVelocityThresholds(Detector.SHOE, 2.0, G_MPS2, (0.0, 0.0, 0.0), True)
-NO_LEVER = (0.0, 0.0, 0.0)
+LOST = 15  # where the tape has what a filter that was lost adds
 
 
 def walk(
@@ -103,25 +91,84 @@ def rests(rate_hz: float, strides: int) -> tuple[IntArray, IntArray]:
     return t_ns[:-1], t_ns[1:]
 
 
+class Filtered:
+    """A walk through the filter, and through the smoother unless it is not wanted."""
+
+    def __init__(
+        self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, rest: BoolArray, settings: ZuptSettings = FIRM, *,
+        arm_m: float = 0.0, level: bool = False, smoothed: bool = True, acc_sd: FloatArray | None = None,
+        per_sample: bool = False,
+    ) -> None:  # fmt: skip
+        none = np.zeros(len(t_ns))
+        clipped = none if acc_sd is None else acc_sd
+        intervals = gather_intervals(t_ns, acc, gyr, clipped, none, rest, (0.0, 0.0, 0.0), per_sample=per_sample)
+        gather(t_ns, acc, gyr, clipped, none, 0.0, 0.0, 0.0, settings, intervals)
+        self.t_ns, self.ends, self.settings, self.standing = t_ns, intervals.ends, settings, bool(rest[0])
+        self.tape = new_tape(len(self.ends), int(rest[self.ends].sum()))
+        lever = np.array([0.0, 0.0, arm_m])
+        filter_intervals(t_ns, gyr, rest, intervals, acc[0], lever, np.zeros(3), level, settings, self.tape)
+        if smoothed:
+            smooth_intervals(t_ns, self.ends, self.standing, settings, self.tape)
+
+    def path(self) -> Trajectory:
+        return Trajectory(self.t_ns[self.ends], *self.tape[:3])
+
+    def lengths(self, begin_ns: IntArray, end_ns: IntArray) -> FloatArray:
+        path = self.path()
+        return np.hypot(*(path.positions_at(end_ns) - path.positions_at(begin_ns))[:, :2].T)
+
+    def dt(self, k: int) -> float:
+        return 1e-9 * float(self.t_ns[self.ends[k]] - self.t_ns[self.ends[k - 1]])
+
+    def covariances(self) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Before and after each interval's measurements, by matrices; the gains on the tape have to be theirs."""
+        tape, start = self.tape, np.empty(STATES)
+        start_variances(self.standing, self.settings, start)
+        P, before, after = np.diag(start), [], []
+        for k in range(len(self.ends)):
+            if k:
+                phi = transition(tape, k, self.dt(k))
+                P = phi @ P @ phi.T + noise_of(tape, k, self.dt(k), self.settings)
+            before.append(P.copy())
+            for j in range(3):
+                P[3 + j, 3 + j] += tape.added[k, LOST]
+                P[6 + j, 6 + j] += self.settings.lost_tilt_rad**2 * (tape.added[k, LOST] > 0.0)
+            if (m := int(tape.slot[k])) >= 0:
+                for j, state in enumerate((3, 4, 5, 2)):
+                    if (s := tape.residual_var[m, j]) > 0.0:
+                        assert tape.gain[m, j] == pytest.approx(P[:, state] / s, rel=1e-6, abs=1e-7)
+                        P = P - np.outer(P[:, state], P[state]) / s
+            after.append(P)
+        return before, after
+
+
+def transition(tape: IntervalTape, k: int, dt: float) -> FloatArray:
+    phi = np.eye(STATES)
+    for column in phi:
+        propagate_error(column, k, tape.mean, tape.push, dt)
+    return phi.T
+
+
+def noise_of(tape: IntervalTape, k: int, dt: float, settings: ZuptSettings) -> FloatArray:
+    noise = np.zeros((STATES, STATES))
+    for unit, column in zip(np.eye(STATES), noise, strict=True):
+        spread_noise(0, column, tape.added[k : k + 1], unit[None], dt, settings)
+    return -noise
+
+
 @pytest.mark.parametrize("rate_hz", [100.0, 204.8, 500.0])
-def test_an_exact_walk_comes_out_exact_at_any_rate(rate_hz: float) -> None:
+@pytest.mark.parametrize("smoothed", [False, True])
+def test_an_exact_walk_comes_out_exact_at_any_rate(rate_hz: float, smoothed: bool) -> None:
     t_ns, acc, gyr, position, rest = walk(rate_hz)
-    for smoothed in (False, True):
-        path = zupt_path(
-            t_ns, acc, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=FIRM, smoothed=smoothed
-        )
-        assert path.stride_lengths(*rests(rate_hz, 6)) == pytest.approx(np.full(6, STRIDE_M), abs=0.004)
-        assert np.abs(path.position_m - position).max() < 0.015
+    found = Filtered(t_ns, acc, gyr, rest, smoothed=smoothed)
+    assert found.lengths(*rests(rate_hz, 6)) == pytest.approx(np.full(6, STRIDE_M), abs=0.004)
+    assert np.abs(found.tape.position - position[found.ends]).max() < 0.015
 
 
-def test_biases_are_found() -> None:
+def test_biases_do_not_bend_the_way() -> None:
     t_ns, acc, gyr, _, rest = walk(200.0, strides=20)
-    gyr = gyr + np.array([0.008, -0.006, 0.004])
-    acc = acc + np.array([0.0, 0.0, 0.1])
-    path = zupt_path(t_ns, acc, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=FIRM)
-    assert path.gyr_bias_radps[-1, :2] == pytest.approx((0.008, -0.006), abs=0.0015)
-    assert path.acc_bias_mps2[-1, 2] == pytest.approx(0.1, abs=0.02)
-    assert path.stride_lengths(*rests(200.0, 20)) == pytest.approx(np.full(20, STRIDE_M), abs=0.015)
+    found = Filtered(t_ns, acc + np.array([0.0, 0.0, 0.1]), gyr + np.array([0.008, -0.006, 0.004]), rest)
+    assert found.lengths(*rests(200.0, 20)) == pytest.approx(np.full(20, STRIDE_M), abs=0.015)
 
 
 def test_the_arm_counts() -> None:
@@ -129,113 +176,98 @@ def test_the_arm_counts() -> None:
     t_ns, acc, gyr, position, rest = walk(200.0, lever_m=0.1, rock_radps=0.5)
     begin, end = rests(200.0, 6)
     true = np.interp(end, t_ns, position[:, 0]) - np.interp(begin, t_ns, position[:, 0])
-    errors = {
-        arm: zupt_path(
-            t_ns, acc, gyr, calibration=STANDING, rest=rest, lever_m=(0.0, 0.0, arm), settings=FIRM
-        ).stride_lengths(begin, end)
-        - true
-        for arm in (0.0, 0.1)
-    }
+    errors = {arm_m: Filtered(t_ns, acc, gyr, rest, arm_m=arm_m).lengths(begin, end) - true for arm_m in (0.0, 0.1)}
     assert np.abs(errors[0.1][1:]).max() < 0.008
     assert errors[0.0][1:].mean() < -0.01
 
 
 def test_stairs_are_climbed_unless_the_ground_is_said_to_be_level() -> None:
     t_ns, acc, gyr, _, rest = walk(200.0, rise_m=0.17)
-    free, level = (
-        zupt_path(
-            t_ns, acc, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=FIRM, level_ground=level_ground
-        )
-        for level_ground in (False, True)
-    )
-    assert free.position_m[-1, 2] == pytest.approx(6 * 0.17, abs=0.02)
-    assert abs(level.position_m[-1, 2]) < 0.05
+    free, level = (Filtered(t_ns, acc, gyr, rest, level=level).tape.position[-1, 2] for level in (False, True))
+    assert free == pytest.approx(6 * 0.17, abs=0.02)
+    assert abs(level) < 0.05
 
 
 def test_forward_knows_nothing_of_the_future() -> None:
     t_ns, acc, gyr, _, rest = walk(100.0)
-    other_acc, other_gyr, other_rest = acc.copy(), gyr.copy(), rest.copy()
-    other_acc[400:] += 2.0
-    other_gyr[400:] -= 0.3
-    other_rest[400:] = ~other_rest[400:]
+    changed = acc.copy(), gyr.copy(), rest.copy()
+    changed[0][400:] += 2.0
+    changed[1][400:] -= 0.3
+    changed[2][400:] = ~rest[400:]
     one, other = (
-        zupt_path(
-            t_ns,
-            a,
-            g,
-            calibration=STANDING,
-            rest=r,
-            lever_m=NO_LEVER,
-            smoothed=False,
-            acc_range_mps2=160.0,
-            gyr_range_radps=35.0,
-        )
-        for a, g, r in ((acc, gyr, rest), (other_acc, other_gyr, other_rest))
+        Filtered(t_ns, *given, ZuptSettings(), smoothed=False, per_sample=True).tape
+        for given in ((acc, gyr, rest), changed)
     )
-    for part in ("position_m", "velocity_mps", "q_world_from_sensor", "gyr_bias_radps", "acc_bias_mps2", "covariance"):
-        assert np.array_equal(getattr(one, part)[:400], getattr(other, part)[:400]), part
-    assert not np.allclose(one.position_m[420], other.position_m[420])
+    for name in ("position", "velocity", "quaternions"):
+        assert np.array_equal(getattr(one, name)[:399], getattr(other, name)[:399]), name
+    assert not np.allclose(one.position[420], other.position[420])
 
 
-def filtered(rate_hz: float, strides: int, p: ZuptSettings) -> tuple[IntArray, FloatArray, Tape]:
+def noisy(rate_hz: float, strides: int, settings: ZuptSettings, **more: Any) -> Filtered:
     t_ns, acc, gyr, _, rest = walk(rate_hz, strides)
     rng = np.random.default_rng(4)
-    acc = acc + rng.normal(0.0, 0.1, acc.shape)
-    gyr = gyr + rng.normal(0.0, 0.01, gyr.shape)
-    tape, none = new_tape(len(t_ns)), np.zeros(len(t_ns))
-    forward(t_ns, acc, gyr, none, none, rest, acc[0], np.zeros(3), False, p, tape)
-    return t_ns, np.concatenate((acc, gyr), axis=1), tape
+    acc, gyr = acc + rng.normal(0.0, 0.1, acc.shape), gyr + rng.normal(0.0, 0.01, gyr.shape)
+    return Filtered(t_ns, acc, gyr, rest, settings, smoothed=False, **more)
+
+
+def test_an_error_grows_as_the_integration_lets_it_grow() -> None:
+    """What the covariance goes by, against differences of the strapdown integration itself."""
+    rng, n = np.random.default_rng(2), 9
+    t_ns, none = np.arange(n) * 5_000_000, np.zeros(n)
+    acc, gyr = rng.normal(0.0, 5.0, (n, 3)) + UP, rng.normal(0.0, 1.0, (n, 3))
+    intervals = gather_intervals(t_ns, acc, gyr, none, none, np.zeros(n, bool), (0.0, 0.0, 0.0))
+    q = rng.normal(size=4)
+    q /= np.linalg.norm(q)
+    tape, dt = new_tape(2, 0), 1e-9 * float(t_ns[-1])
+    assert intervals.ends.tolist() == [0, n - 1]
+
+    def carried(error: FloatArray) -> tuple[FloatArray, Rotation]:
+        place, velocity, turned = error[:3].copy(), np.array([1.0, 0.2, -0.3]) + error[3:6], np.empty(4)
+        rotate_in_world(q, *error[6:9], turned)
+        biases = error[9:12].copy(), error[12:].copy()
+        _integrate(1, dt, intervals, np.empty(9), tape.mean, tape.push, place, velocity, turned, *biases)
+        return np.concatenate((place, velocity)), Rotation.from_quat(turned, scalar_first=True)
+
+    (at, turned), small = carried(np.zeros(STATES)), 1e-6
+    phi = transition(tape, 1, dt)
+    for unit in np.eye(STATES):
+        moved, away = carried(small * unit)
+        found = np.concatenate((moved - at, (away * turned.inv()).as_rotvec())) / small
+        assert found == pytest.approx((phi @ unit)[:9], abs=2e-3), unit
 
 
 def test_smoothing_is_that_of_rauch_tung_striebel() -> None:
     """The textbook's recursion, with inverses, on the same forward pass."""
-    p = ZuptSettings(drift_speed_mps=0.0, outlier_sigmas=1e6)
-    t_ns, imu, tape = filtered(50.0, 2, p)
-    n = len(t_ns)
+    walked = noisy(50.0, 2, ZuptSettings(drift_speed_mps=0.0, outlier_sigmas=1e6))
+    tape, n = walked.tape, len(walked.ends)
+    predicted, after = walked.covariances()
     correction = np.zeros((n, STATES))
-    none = np.zeros(n)
-    for i in range(n - 1, 0, -1):
-        dt = 1e-9 * float(t_ns[i] - t_ns[i - 1])
-        phi, flat = np.eye(STATES), np.zeros(STATES * WIDTH)
-        for column in phi:  # rows of the transpose until all are carried
-            propagate_one(column, column, tape.rotation[i], tape.force[i], dt)
-        phi = phi.T
-        mean_rate = 0.5 * (imu[i - 1, 3:] + imu[i, 3:]) - tape.gyr_bias[i - 1]
-        add_noise(flat, imu[:, :3].copy(), i, tape.force[i], float(np.linalg.norm(mean_rate)), none, none, dt, p)
-        noise = flat.reshape(STATES, WIDTH)[:, :STATES]
-        predicted = phi @ tape.covariance[i - 1] @ phi.T + noise
-        injected = sum(
-            (tape.gain[i, k] * tape.residual[i, k] for k in range(3) if tape.residual_var[i, k] > 0.0),
-            np.zeros(STATES),
-        )
-        back = np.linalg.solve(predicted, phi @ tape.covariance[i - 1]).T
-        correction[i - 1] = back @ (correction[i] + injected)
-    before = Tape(*(part.copy() for part in tape))
-    smooth(t_ns, True, p, tape)
+    for k in range(n - 1, 0, -1):
+        phi, m = transition(tape, k, walked.dt(k)), int(tape.slot[k])
+        injected = tape.gain[m, :3].T @ tape.residual[m, :3] if m >= 0 else np.zeros(STATES)
+        back = np.linalg.solve(predicted[k], phi @ after[k - 1]).T
+        correction[k - 1] = back @ (correction[k] + injected)
+    place, velocity = tape.position.copy(), tape.velocity.copy()
+    smooth_intervals(walked.t_ns, walked.ends, walked.standing, walked.settings, tape)
     assert np.abs(correction[:, :3]).max() > 0.001
-    assert tape.position - before.position == pytest.approx(correction[:, :3], abs=1e-6)
-    assert tape.velocity - before.velocity == pytest.approx(correction[:, 3:6], abs=1e-6)
-    assert tape.acc_bias - before.acc_bias == pytest.approx(correction[:, 12:], abs=1e-6)
+    assert tape.position - place == pytest.approx(correction[:, :3], abs=1e-6)
+    assert tape.velocity - velocity == pytest.approx(correction[:, 3:6], abs=1e-6)
 
 
-def test_covariance_stays_sound() -> None:
-    _, _, tape = filtered(100.0, 8, ZuptSettings())
-    assert tape.covariance == pytest.approx(tape.covariance.transpose(0, 2, 1), rel=1e-9, abs=1e-15)
-    least = np.linalg.eigvalsh(tape.covariance)[:, 0]
-    assert least.min() > -1e-12
+@pytest.mark.parametrize("level", [False, True])
+def test_covariance_stays_sound_and_is_that_of_matrices(level: bool) -> None:
+    for found in noisy(100.0, 8, ZuptSettings(), level=level).covariances()[1]:
+        assert np.linalg.eigvalsh(0.5 * (found + found.T))[0] > -1e-12
 
 
-def test_standing_for_an_hour_tells_nothing_of_heading() -> None:
+def test_standing_tells_nothing_of_heading() -> None:
     rng = np.random.default_rng(6)
-    n = 36_000
-    t_ns = np.arange(n) * 100_000_000
-    acc = np.array([0.0, 0.0, G_MPS2]) + rng.normal(0.0, 0.02, (n, 3))
-    gyr = rng.normal(0.0, 0.002, (n, 3))
-    path = zupt_path(t_ns, acc, gyr, rest=np.ones(n, bool), smoothed=False)
-    heading = path.covariance[:, 8, 8]
+    n = 1200
+    acc, gyr = UP + rng.normal(0.0, 0.02, (n, 3)), rng.normal(0.0, 0.002, (n, 3))
+    stood = Filtered(np.arange(n) * 100_000_000, acc, gyr, np.ones(n, bool), ZuptSettings(), smoothed=False)
+    heading = np.array([covariance[8, 8] for covariance in stood.covariances()[1]])
     assert np.all(np.diff(heading[100:]) > -1e-12)
-    assert np.linalg.eigvalsh(path.covariance[-1])[0] > 0.0
-    assert float(np.linalg.norm(path.velocity_mps[-1])) < 0.01
+    assert float(np.linalg.norm(stood.tape.velocity[-1])) < 0.01
 
 
 def test_errors_are_as_large_as_the_filter_says() -> None:
@@ -247,9 +279,9 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
         rng = np.random.default_rng(seed)
         a = acc + rng.normal(0.0, p.acc_noise_mps2_rthz * 10.0, acc.shape) + rng.normal(0.0, 0.1, 3)
         g = gyr + rng.normal(0.0, p.rate_noise_radps_rthz * 10.0, gyr.shape) + rng.normal(0.0, p.rate_bias_radps, 3)
-        path = zupt_path(t_ns, a, g, calibration=STANDING, rest=rest, lever_m=NO_LEVER, smoothed=False, settings=p)
-        error = path.position_m[-1] - position[-1]
-        scores.append(float(error @ np.linalg.solve(path.covariance[-1, :3, :3], error)))
+        found = Filtered(t_ns, a, g, rest, p, smoothed=False)
+        error, covariance = found.tape.position[-1] - position[-1], found.covariances()[1][-1][:3, :3]
+        scores.append(float(error @ np.linalg.solve(covariance, error)))
     assert max(scores) < 16.0
     assert np.mean(scores) > 0.1  # nor is it overly humble
 
@@ -262,14 +294,11 @@ def test_clipped_samples_are_missing_data() -> None:
         impact[at : at + 6] += (0.0, 150.0, 300.0, -150.0, -200.0, -100.0)
     clipped = acc + np.column_stack((impact, 0.0 * impact, 0.0 * impact))
     clipped = np.clip(clipped, -16.0 * G_MPS2, 16.0 * G_MPS2)
-    begin, end = rests(200.0, 6)
+    deaf = ZuptSettings(drift_speed_mps=0.0, jerk_mps3=1e9)
     noticed, unnoticed = (
-        zupt_path(
-            t_ns, clipped, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=settings,
-            acc_range_mps2=full_scale,
-        ).stride_lengths(begin, end) - STRIDE_M
-        for settings, full_scale in ((FIRM, None), (ZuptSettings(drift_speed_mps=0.0, jerk_mps3=1e9), 1e9))
-    )  # fmt: skip
+        Filtered(t_ns, clipped, gyr, rest, settings, acc_sd=sd).lengths(*rests(200.0, 6)) - STRIDE_M
+        for settings, sd in ((FIRM, clipped_sd(clipped, None, 30.0, 0.3)), (deaf, None))
+    )
     assert np.abs(noticed).max() < 0.6 * np.abs(unnoticed).max()
     assert np.abs(noticed).max() < 0.03
 
@@ -278,37 +307,15 @@ def test_a_slow_swing_that_looks_like_rest_is_not_believed() -> None:
     t_ns, acc, gyr, _, rest = walk(100.0)
     into = np.clip(1e-9 * t_ns - 2.0, 0.0, None) % (STEP_S + REST_S)
     false = rest | ((t_ns > 2_000_000_000) & (into > 0.25) & (into < 0.35))
-    lengths = zupt_path(
-        t_ns, acc, gyr, calibration=STANDING, rest=false, lever_m=NO_LEVER, settings=FIRM
-    ).stride_lengths(*rests(100.0, 6))
-    assert lengths == pytest.approx(np.full(6, STRIDE_M), abs=0.02)
+    assert Filtered(t_ns, acc, gyr, false).lengths(*rests(100.0, 6)) == pytest.approx(np.full(6, STRIDE_M), abs=0.02)
 
 
 def test_a_lost_filter_finds_back() -> None:
     t_ns, acc, gyr, _, rest = walk(100.0, strides=12)
-    gyr = gyr.copy()
     gyr[450:470, 1] += 4.0  # somebody knocks against the sensor: 0.8 rad that its own noise does not explain
-    path = zupt_path(t_ns, acc, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=FIRM, smoothed=False)
-    stance = rest & (t_ns > int(13e9))
-    assert float(np.linalg.norm(path.velocity_mps[stance], axis=1).max()) < 0.3
-
-
-@pytest.mark.parametrize(
-    ("name", "rmse_m"),
-    [("both_feet_100hz", 0.01), ("both_feet_200hz", 0.01), ("misaligned", 0.012), ("soft_contact", 0.01),
-     ("negard_patient1", 0.02), ("negard_patient2", 0.022)],
-)  # fmt: skip
-def test_simulated_walks_smoothed(name: str, rmse_m: float) -> None:
-    recording, truth = (load(SIMULATED / f"{name}.parquet") for load in (read_recording, load_truth))
-    for sensor, track in recording.tracks.items():
-        new = np.append(True, np.diff(track.t_sensor_ns) > 0)  # one of the sensors doubles samples
-        path = zupt_path(track.t_sensor_ns[new], track.acc_mps2[new], track.gyr_radps[new])
-        strides = [s for s in truth.strides_of(sensor) if s.steady and s.walking]
-        begin = np.array([round(1e9 * s.t_start_s) for s in strides])
-        end = np.array([round(1e9 * s.t_end_s) for s in strides])
-        errors = path.stride_lengths(begin, end) - [s.stride_length_m for s in strides]
-        assert len(errors) >= 30
-        assert float(np.sqrt(np.mean(errors**2))) < rmse_m
+    found = Filtered(t_ns, acc, gyr, rest, smoothed=False)
+    stance = rest[found.ends] & (t_ns[found.ends] > int(13e9))
+    assert float(np.linalg.norm(found.tape.velocity[stance], axis=1).max()) < 0.3
 
 
 def test_quietest_instants_fill_what_the_detector_missed() -> None:
@@ -353,51 +360,3 @@ def test_clipping_is_seen_with_and_without_a_stated_range() -> None:
     assert not clipped_sd(values[:12], None, 30.0, 0.3).any()  # two samples make no flat top
     assert not clipped_sd(values, 156.9, 30.0, 0.3).any()
     assert clipped_sd(values, 78.4, 30.0, 0.3).max() == pytest.approx(0.3 * 78.4)
-
-
-def test_plan_and_instants() -> None:
-    t_ns, acc, gyr, _, rest = walk(100.0)
-    path: ZuptPath = zupt_path(t_ns, acc, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=FIRM)
-    plan = path.plan_m()
-    far = plan[np.argmax(np.hypot(*plan.T))]
-    assert far == pytest.approx((6 * STRIDE_M, 0.0), abs=0.02)
-    with pytest.raises(ValueError, match="outside"):
-        path.at(np.array([t_ns[-1] + 1]))
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    t_ns, acc, gyr, _, rest = walk(100.0)
-    with pytest.raises(ValueError, match=r"need \(N,\)"):
-        zupt_path(t_ns, acc[:-1], gyr)
-    doubled = t_ns.copy()
-    doubled[5] = doubled[4]
-    with pytest.raises(ValueError, match="increase strictly"):
-        zupt_path(doubled, acc, gyr)
-    with pytest.raises(ValueError, match="rest has the shape"):
-        zupt_path(t_ns, acc, gyr, rest=rest[:-1])
-    acc[7] = np.inf
-    with pytest.raises(ValueError, match="finite"):
-        zupt_path(t_ns, acc, gyr)
-
-
-def test_prediction_and_measurement_are_those_of_matrices() -> None:
-    rng = np.random.default_rng(3)
-    half = rng.normal(0.0, 1.0, (STATES, STATES))
-    dense = half @ half.T
-    flat = np.ascontiguousarray(np.pad(dense, ((0, 0), (0, 1)))).ravel()
-    rotation, force, dt = np.linalg.qr(rng.normal(0.0, 1.0, (3, 3)))[0].copy(), rng.normal(0.0, 5.0, 3), 0.01
-    phi = np.eye(STATES)
-    for column in phi:
-        propagate_one(column, column, rotation, force, dt)
-    phi = phi.T
-    predict(flat, np.empty(BIASES * WIDTH), rotation, force, dt)
-    wanted = phi @ dense @ phi.T
-    assert flat.reshape(STATES, WIDTH)[:, :STATES] == pytest.approx(wanted, rel=1e-10, abs=1e-12)
-    state, gain = np.zeros(STATES), np.empty(WIDTH)
-    variance = update(flat, state, 4, 0.5, 0.2, np.empty(WIDTH), gain)
-    assert variance == pytest.approx(wanted[4, 4] + 0.2)
-    assert state == pytest.approx(0.5 * wanted[:, 4] / variance)
-    after = flat.reshape(STATES, WIDTH)
-    assert after[:, :STATES] == pytest.approx(wanted - np.outer(wanted[4], wanted[4]) / variance, abs=1e-10)
-    assert np.array_equal(after[:, :STATES], after[:, :STATES].T)
-    assert not after[:, STATES].any()

@@ -34,7 +34,7 @@ from fes.live.witness_process import Growing
 from fes.recording import Recording, Track, read_recording
 from fes.session_log import Note, SessionWriter
 from fes.signals import Event, ImuSample, OperatorAct, OperatorAction
-from fes.witness.hearing import Hearing
+from fes.witness.verdict import Hearing
 
 AT_NS = (5 * STRIDE_MS + 700) * MS
 

@@ -1,37 +1,17 @@
-"""One foot's samples made ready: orientation, acceleration without gravity, on the time base of both feet.
+"""Wang et al. (2013), section 3: zero-velocity windows of both feet, and where a foot went between them.
 
-Then: where a foot went between its zero-velocity windows, and the frame in which both feet are looked at.
+The healthy foot's windows are where the mean energy of its acceleration without gravity over 0.1 s is below
+0.025 m²/s⁴. A motion window shorter than half the mean one is removed, a zero-velocity window longer than twice the
+mean one is split. The paper does not say how: here the threshold is halved until rests at least half a mean motion
+window apart show; standing at the recording's ends stays. :func:`fitted_threshold` is its "proper threshold".
 
-Source: Wang et al. (2013), sections 3.1 and 3.2: strapdown integration in the world, velocity zero in the windows; in
-between, what is left of the velocity at a motion window's end is taken off in proportion to time. The visualization
-frame has z against gravity, y along the walk, x across it to the right. *Erratum*: the printed ``x0`` is a cross
-product of unit vectors that are not perpendicular unless the walk is level; not normalised, the matrix is no rotation
-on stairs.
+While the healthy foot swings the paretic one stands: its windows are the other's motion windows, shifted all alike (at
+most a fifth of the usual stride, to where its energy is least), expanded while it is still, shrunk while it is not, of
+one that would vanish its quietest 0.1 s; standing with both feet before and after is added.
 
-Zero-velocity windows of the healthy foot: found by a threshold, merged, and split.
-
-Source: Wang et al. (2013), section 3.1. The mean energy of the acceleration without gravity over a sliding window of
-0.1 s is below 0.025 m²/s⁴ where the foot rests. Then:
-
-- *merging*: a motion window shorter than half the mean motion window is removed; its neighbours become one;
-- *splitting*: a zero-velocity window longer than twice their (new) mean is thresholded anew, more tightly.
-
-The paper does not say how much more tightly, nor when to stop. Here the threshold is halved until the window falls
-apart into rests that a motion window of at least half the mean separates, at most ``TIGHTENINGS`` times; a window
-that begins or ends the recording is standing, and stays. "By selecting a proper threshold" is the paper's:
-:func:`fitted_threshold` selects one where the printed value shows hardly any rest, as on a shaking treadmill or with
-a brisk foot.
-
-The healthy foot's motion windows become the paretic foot's zero-velocity windows, and are adjusted.
-
-While the healthy foot swings, the paretic one must carry the body: it stands. Four adjustments are named there, none
-with a number; what is silent is settled so:
-
-- *appending*: the parts at the recording's start and end in which both feet stand;
-- *shifting*, against errors of synchronisation: all windows by the same time, at most a fifth of the usual stride, to
-  where the paretic foot's energy in them is least;
-- *expanding* into double support: outwards while the paretic foot's energy is below the threshold;
-- *shrinking*: inwards while it is above. Of a window that would vanish, its quietest 0.1 s stays: the foot did stand.
+Strapdown integration in the world, velocity zero in the windows; what is left of it at a motion window's end is taken
+off in proportion to time. The visualization frame has z against gravity, y along the walk, x to its right. *Erratum*:
+the printed ``x0`` is a cross product of unit vectors that are not perpendicular unless the walk is level.
 """
 
 from dataclasses import dataclass, replace
@@ -40,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.numerics.filters import runs
 from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.orientation.body import smooth_orientation
 from fes.recording import Track
@@ -61,12 +42,6 @@ def energy(acc_world_mps2: FloatArray, rate_hz: float) -> FloatArray:
     each = np.einsum("ij,ij->i", acc_world_mps2, acc_world_mps2)
     known = np.convolve(np.ones(len(each)), np.ones(count), "same")
     return np.asarray(np.convolve(each, np.ones(count), "same") / known)
-
-
-def runs(inside: BoolArray) -> IntArray:
-    """Stretches (K, 2) of True: first sample, and one past the last."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
-    return np.column_stack((edges[0::2], edges[1::2])).astype(np.int64)
 
 
 def between(windows: IntArray) -> IntArray:

@@ -1,18 +1,14 @@
 """Two feet with separate clocks: by how much the clock of one runs ahead, from what both sensors feel.
 
-Wang et al. (2013), section 2, had their subjects hop, for a signature in both sensors; the times of reception gave
-the rest. Three things that a walk itself shows are used here, each alone is of little use, and none is in the paper:
+Wang et al. (2013), section 2, had their subjects hop, for a signature in both sensors. Three things that a walk itself
+shows are used here, none is in the paper:
 
-1. *Which stride is which*: the variation of stride times is shared by both feet. Contacts of one foot, counted from a
-   contact of the other, spread least where the count is right (:func:`_pairing`). A walk without variation, or
-   shorter than ``LEAST_STRIDES``, cannot be told apart from itself shifted by a stride; ``runner_up`` says how close
-   that comes.
-2. *Which part of the stride*: each foot swings while the other stands. The clocks are set so that both double
-   supports last equally long (:func:`_halves`). That is an assumption: in hemiparesis they differ by up to 0.1 s, and
-   this is off by half of it.
-3. *The instant*: a foot feels the other one land. Where both feet show such jolts, the delay of left after right and
-   of right after left is the same but for the clocks (:func:`_jolts`): half of their difference is the error of the
-   second.
+1. *Which stride is which*: contacts of one foot, counted from a contact of the other, spread least where the count is
+   right (:func:`_pairing`). ``runner_up`` says how close a walk comes to itself shifted by a stride.
+2. *Which part of the stride*: the clocks are set so that both double supports last equally long (:func:`_halves`); in
+   hemiparesis they differ by up to 0.1 s, and this is off by half of it.
+3. *The instant*: a foot feels the other one land (:func:`_jolts`). The delay of left after right and of right after
+   left is the same but for the clocks: half of their difference is the error of the second.
 
 **Knocks** (stamping, hopping, knocking the sensors together) at standing beat all that: :func:`knocks`.
 """

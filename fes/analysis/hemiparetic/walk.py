@@ -1,19 +1,16 @@
 """A hemiparetic walk from both feet: the paretic side, level ground or stairs, and Wang et al.'s (2013) windows.
 
-The figures to go by are those of :mod:`fes.analysis.parameters`, from the project's own strides, which count and
-measure better than the windows: these were made for feet that come to rest on a floor. They, and the reconstruction
-that rests on them, are there for comparison with the paper and for its picture of both feet.
+The figures to go by are those of :mod:`fes.analysis.parameters`. The windows, made for feet that come to rest on a
+floor, and the reconstruction that rests on them are there for comparison with the paper and for its picture.
 
-*Level, stairs up, stairs down*, stride by stride: the paper's Figure 4 shows that they differ, and gives no rule. Here
-it is the height gained from stance to stance: half of the lowest usual riser (building codes: 15 cm and more) is beyond
-what a level stride's error amounts to, and who sets both feet on every stair still climbs a whole riser per stride.
+*Level, stairs up, stairs down*: the paper's Figure 4 shows that they differ, and gives no rule. Here it is the height
+gained from stance to stance: half of the lowest usual riser is beyond what a level stride's error amounts to.
 
 *The paretic side*: section 3.1 takes the ratio left over right of the largest power spectral density of the
-acceleration along the walk, gravity removed, for the paretic leg swings less vigorously; without a threshold or an
-error rate. So the ratio is one of four signs here, beside three that textbooks agree on (Perry & Burnfield 2010; Olney
-& Richards 1996): the paretic side swings longer, rises less steeply on its toes, and lands flatter. Each sign votes
-with its size; where they do not agree clearly, no side is told. The score is no probability: nobody has counted how
-often it errs on patients.
+acceleration along the walk, without a threshold or an error rate. So the ratio is one of four signs here, beside three
+that textbooks agree on (Perry & Burnfield 2010; Olney & Richards 1996): the paretic side swings longer, rises less
+steeply on its toes, and lands flatter. Each votes with its size; where they do not agree clearly, no side is told. The
+score is no probability: nobody has counted how often it errs on patients.
 """
 
 import math
@@ -307,17 +304,17 @@ def feet_of(analysis: Analysis) -> dict[str, Foot]:
     return found
 
 
-def windows_of(feet: Mapping[str, Foot], healthy: str, threshold_m2ps4: float | None = None) -> Windows:
+def windows_of(feet: Mapping[str, Foot], healthy: str) -> Windows:
     """Wang et al.'s windows and reconstruction of both feet.
 
-    ``feet`` are by name, on common instants; ``threshold_m2ps4`` is that of both, None: fitted to each.
+    ``feet`` are by name, on common instants; the threshold is fitted to each.
 
     Raises:
         ValueError: the healthy foot shows fewer than three windows.
     """
     other = next(name for name in feet if name != healthy)
     energies = {name: energy(foot.acc_mps2, foot.rate_hz) for name, foot in feet.items()}
-    thresholds = {name: threshold_m2ps4 or fitted_threshold(values) for name, values in energies.items()}
+    thresholds = {name: fitted_threshold(values) for name, values in energies.items()}
     own = still_windows(energies[healthy], thresholds[healthy])
     if len(own) < 3:
         raise ValueError(f"{healthy}: {len(own)} zero-velocity windows at {thresholds[healthy]:.3f} m²/s⁴")

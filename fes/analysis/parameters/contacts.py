@@ -1,21 +1,16 @@
 """Foot off (FO) and initial contact (IC) of slow walks, set right by the path that the foot really took.
 
-The off-line events (:mod:`fes.estimation.events.offline`) look at the mediolateral rate: FO is about the peak of
-push-off, IC where the foot stops turning toe-up. In slow and in paretic gait these come apart from the ground's
-contact: the foot stops turning long before it lands, and a weak foot that has been lifted turns toe-down once more as
-it falls. The path of the stride shows both, and moves the event only where it clearly does:
+In slow and in paretic gait the off-line events (:mod:`fes.estimation.events.offline`) come apart from the ground's
+contact: the foot stops turning long before it lands, and a weak foot that has been lifted turns toe-down as it falls.
 
-- FO: a foot that rolls slowly over its forefoot and the tip of its toe turns evenly and hardly accelerates. Where that
-  lasted for ``QUIET_S`` and ends shortly before the off-line FO, be it in the foot's turning (a weak foot drops) or in
-  its acceleration upward (it is pulled up), nothing holds the toe any more, and the end is FO. Forward the leg drives
-  the foot while its toe still holds. A brisk push-off is never that quiet, and keeps its event.
-- IC: the heel falls faster and faster until the ground stops it: contact is its fastest descent after the off-line IC.
-  A shoe gives way for a few hundredths of a second, so up to ``SHOE_YIELDS_S`` apart the off-line event (which agrees
-  with optical markers) stays, beyond twice that the descent is believed, and in between the two are mixed.
+- FO: a foot that rolls slowly over its forefoot turns evenly and hardly accelerates. Where that lasted for ``QUIET_S``
+  and ends shortly before the off-line FO, be it in its turning (a weak foot drops) or in its acceleration upward (it is
+  pulled up), the end is FO. A brisk push-off is never that quiet, and keeps its event.
+- IC: the heel falls faster and faster until the ground stops it: its fastest descent after the off-line IC. Up to
+  ``SHOE_YIELDS_S`` apart the off-line event stays, beyond twice that the descent is believed, in between a mixture.
 
-No paper. The constants were chosen on virtual walks (benchmarks/accuracy/parameters.py measures them on others, too).
-Against the markers of one healthy adult (same benchmark) they add 1 ms to IC's mean and SD, and nothing to FO; of slow
-real feet no true contacts were at hand.
+No paper; constants chosen on virtual walks (benchmarks/accuracy/parameters.py measures them on others, too). Against
+the markers of one healthy adult they add 1 ms to IC's mean and SD; of slow real feet no true contacts were at hand.
 """
 
 from typing import NamedTuple

@@ -179,14 +179,6 @@ def _unit(shape: Mat) -> Vec:
     return np.asarray((shape[:, 0] - low) / max(high - low, 1e-9))
 
 
-def warped(one: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
-    """Which sample of each waveform, (N,) and (M,), goes with which of the other, (L,) and (L,), from first to last."""
-    n, m = len(one), len(other)
-    cost, way = np.empty((n + m, n + 2)), np.empty((n + m, 2), np.int64)
-    first = _warp(np.ascontiguousarray(one, np.float64), np.ascontiguousarray(other, np.float64), cost, way)
-    return way[first:, 0], way[first:, 1]
-
-
 @jit_ieee
 def _warp(one: Vec, other: Vec, cost: Mat, pairs: Mat) -> int:
     """Fill the last rows of ``pairs`` (N + M, 2) with those of the cheapest warp, and return the first of these rows.

@@ -1,17 +1,15 @@
 """What takes both feet: step times, double support, and step lengths where something ties the feet together.
 
-Definitions: Perry & Burnfield, *Gait Analysis*, 2nd ed. 2010. Two sensors do not see each other; how far apart they
-are is known only where both feet stand side by side. Where a straight walk begins and ends so (nobody can tell:
-standing for longer than a stride is taken for it), the feet's strides are added up, and what they differ by at the
-end is taken back in proportion to time; else there are no step lengths, for a few per mille of a hundred metres are
-as long as a step. In long walks the error grows with the square root of the strides.
+Definitions: Perry & Burnfield, *Gait Analysis*, 2nd ed. 2010. How far two sensors are apart is known only where both
+feet stand side by side. Where a straight walk begins and ends so (standing for longer than a stride is taken for it),
+the feet's strides are added up, and what they differ by at the end is taken back in proportion to time; else there are
+no step lengths, for a few per mille of a hundred metres are as long as a step.
 
 In strides of two and three seconds, as in severe hemiparesis, a stride length is some percent off, mostly by the same
-amount in all strides of a foot (tilt and bias of its own sensor). Feet alternate, so their mean stride lengths are
-the same, and are brought together. A bias or a tilt makes an error that grows with the square of the time for which
-the foot moves: that gives the weights. On a curve the outer foot goes farther: nothing is done where the walk turns,
-where the feet have different numbers of strides, or where they are too far apart for that to be drift. No paper; that
-both sides' stride lengths agree is seen in Wang et al. (2013), Table 2.
+amount in all strides of a foot. Feet alternate, so their mean stride lengths are brought together, weighed by the error
+of a bias or a tilt, which grows with the square of the time for which the foot moves. Nothing is done where the walk
+turns, where the feet have different numbers of strides, or where they are too far apart for drift. No paper; that both
+sides' stride lengths agree is seen in Wang et al. (2013), Table 2.
 """
 
 import math

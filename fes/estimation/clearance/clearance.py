@@ -15,32 +15,18 @@ on the whole, and each stride is shifted to agree, in proportion to time between
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
 from fes.config import FootGeometry
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.records import Mat, Vec
-from fes.estimation.numerics.rotation import foot_axes, quaternions_of, to_world, up_in_sensor
-from fes.estimation.strides.boundaries import UNSEEN_NS
+from fes.estimation.numerics.rotation import to_world, up_in_sensor
+from fes.estimation.strides.boundaries import UNSEEN_NS, index_at
 from fes.signals import FloatArray, IntArray, Vector3
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
-
-
-@jit_fused
-def index_at(t_ns: Vec, begin: int, last: int, at_ns: int) -> int:
-    """Of the samples ``begin`` … ``last`` the first at or after a time, the last if there is none."""
-    while begin < last:
-        middle = (begin + last) >> 1
-        if t_ns[middle] < at_ns:
-            begin = middle + 1
-        else:
-            last = middle
-    return last
 
 
 @jit_fused
@@ -185,27 +171,6 @@ TOE, BEFORE, AFTER, HEEL, SENSOR, DIPS = range(6)  # columns of :func:`clearance
 TRIM = 0.1  # share of the strides left out at either end when levels are averaged
 
 
-@dataclass(frozen=True, slots=True)
-class FootPath:
-    """One stride's path at its own samples.
-
-    ``position_m`` (N, 3): the sensor, z up, origin at the start, where the foot is flat; ``axes`` (N, 3, 3): columns
-    are the foot's forward, left and up in the world; ``foot_off_ns`` and ``contact_ns``: the swing, None if unseen.
-    """
-
-    number: int
-    t_ns: IntArray
-    position_m: FloatArray
-    axes: FloatArray
-    foot_off_ns: int | None
-    contact_ns: int | None
-
-    @property
-    def tilt(self) -> FloatArray:
-        """How much higher the tips of the foot's unit axes are than at the start (N, 3)."""
-        return np.asarray(self.axes[:, 2, :] - self.axes[0, 2, :])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPaths:
     """The paths of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m``, ``quaternion``.
@@ -239,41 +204,6 @@ class FootPaths:
         """The paths at these places (S,) alone."""
         numbers, spans, swings_ns = (each[places] for each in (self.numbers, self.spans, self.swings_ns))
         return replace(self, numbers=numbers, spans=spans, swings_ns=swings_ns)
-
-    def each(self) -> list[FootPath]:
-        """The paths, one by one."""
-        axes = np.empty((len(self.t_ns), 3, 3))
-        foot_axes(self.quaternion, self.foot[:, 0].copy(), self.foot[:, 2].copy(), axes)
-        return [
-            FootPath(
-                number, self.t_ns[a:b], self.position_m[a:b], axes[a:b],
-                None if off == UNSEEN_NS else off, None if contact == UNSEEN_NS else contact,
-            )
-            for number, (a, b), (off, contact) in zip(
-                self.numbers.tolist(), self.spans.tolist(), self.swings_ns.tolist(), strict=True
-            )
-        ]  # fmt: skip
-
-
-AnyPaths: TypeAlias = FootPaths | Sequence[FootPath]
-
-
-def join_paths(paths: AnyPaths) -> FootPaths:
-    """The same paths as one :class:`FootPaths`."""
-    if isinstance(paths, FootPaths):
-        return paths
-    counts = np.array([len(path.t_ns) for path in paths], dtype=np.int64)
-    ends = np.cumsum(counts)
-    swings = [UNSEEN_NS if at is None else at for path in paths for at in (path.foot_off_ns, path.contact_ns)]
-    return FootPaths(
-        np.array([path.number for path in paths], dtype=np.int64),
-        np.column_stack((ends - counts, ends)),
-        np.array(swings, dtype=np.int64).reshape(len(paths), 2),
-        np.concatenate([np.zeros(0, np.int64), *(path.t_ns for path in paths)]),
-        np.concatenate([np.zeros((0, 3)), *(path.position_m for path in paths)]),
-        quaternions_of(np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)])),
-        np.eye(3),
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,13 +244,12 @@ class ContactLevels:
         return np.where(np.abs(off) <= MOST_DRIFT_M, weights * off, 0.0)
 
 
-def contact_heights(paths: AnyPaths, arms: FootArms) -> FloatArray:
+def contact_heights(paths: FootPaths, arms: FootArms) -> FloatArray:
     """Of each stride (K, 3) what :func:`contact_levels` are found from, NaN where not both contacts were seen.
 
     The height of the toe at foot off over the stance before; of the lower of toe and heel at contact over the next; and
     of the foot in the stance after over that before. So steps up and down do not make the first two differ.
     """
-    paths = join_paths(paths)
     toe, heel, out = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), np.empty((len(paths), 3))
     all_contact_heights(paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, out)
     return out
@@ -341,7 +270,7 @@ def contact_levels(heights: FloatArray) -> ContactLevels | None:
 
 
 def clearances(
-    paths: AnyPaths, arms: FootArms, levels: ContactLevels | None, heights: FloatArray | None = None
+    paths: FootPaths, arms: FootArms, levels: ContactLevels | None, heights: FloatArray | None = None
 ) -> FloatArray:
     """Heights of every stride above its starting stance (K, 6), m; the toe's are NaN without foot off or contact.
 
@@ -350,7 +279,7 @@ def clearances(
     ``SENSOR``: the greatest of the stride; ``DIPS``: 1 where the toe has a minimum, else 0. They are shifted to the
     recording's contact ``levels`` if given. ``heights``: the strides' :func:`contact_heights` where already worked out.
     """
-    paths, out, drifts = join_paths(paths), np.empty((len(paths), 6)), np.zeros((len(paths), 3))
+    out, drifts = np.empty((len(paths), 6)), np.zeros((len(paths), 3))
     if levels is not None:
         drifts = levels.drifts(contact_heights(paths, arms) if heights is None else heights)
     toe, heel, longest = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), paths.longest

@@ -20,12 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance.clearance import AnyPaths, index_at, join_paths, reach
+from fes.estimation.clearance.clearance import FootPaths, reach
 from fes.estimation.numerics.jit import inlined, jit_fused
-from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import to_world
-from fes.estimation.strides.boundaries import UNSEEN_NS
+from fes.estimation.strides.boundaries import UNSEEN_NS, index_at
 from fes.signals import FloatArray
 
 BALL_PITCH_RAD = (-0.09, -0.38)  # the heel has risen, and the foot still turns about the ball
@@ -207,12 +206,11 @@ class _Seen:
     missing: str = ""
 
 
-def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
+def estimate_geometry(paths: FootPaths) -> EstimatedGeometry:
     """Estimate one foot's geometry from the strides of one recording; the prior where they do not show it.
 
     Always gives a usable geometry: what lies outside the plausible bounds is dropped, and the reason says so.
     """
-    paths = join_paths(paths)
     signs = np.empty((SIGNS, len(paths)))
     forward, up = paths.foot[:, 0].copy(), paths.foot[:, 2].copy()
     all_geometry_signs(
@@ -251,8 +249,8 @@ def _seen(what: str, each: FloatArray, model_m: float, bounds_m: tuple[float, fl
     values = each[np.isfinite(each)]
     if len(values) < LEAST_STRIDES:
         return _Seen(0.0, math.inf, f"{what} shows in {len(values)} strides only, {LEAST_STRIDES} are needed")
-    middle = median(values)
+    middle = float(np.median(values))
     if not bounds_m[0] <= middle <= bounds_m[1]:
         return _Seen(0.0, math.inf, f"{what} came out at {100.0 * middle:.0f} cm, which no foot has")
-    spread = 1.4826 * median(np.abs(values - middle))
+    spread = 1.4826 * float(np.median(np.abs(values - middle)))
     return _Seen(middle, math.hypot(1.25 * spread / math.sqrt(len(values)), model_m))

@@ -1,23 +1,19 @@
 """IC and FO while walking: causal, sample by sample, thresholds retuned to the walker every fourth stride.
 
 Kumar et al. (2015), after Ferrari et al. (2015), wait for the peaks of the mediolateral rate that *follow* contact and
-precede foot off, with heights and distances retuned every fourth stride: ``gyrT = median(peaks)^0.7`` and
-``timT = median(peak distance)/3``. The exponent makes the print depend on the unit: it stands for 56 %
-of a 7 rad/s peak in rad/s, and 17 % of the same peak in deg/s. Here it reads ``gyrT = u·(median/u)^0.7`` with
-``u`` = 1 rad/s (``UNIT_RADPS``), which is what the print does with its own sample data.
+precede foot off, with ``gyrT = median(peaks)^0.7`` and ``timT = median(peak distance)/3``. The exponent makes the print
+depend on the unit; here it reads ``gyrT = u·(median/u)^0.7`` with ``u`` = 1 rad/s, as with its own sample data.
 
 Two rules share the machinery (:class:`Rule`):
 
-- ``PEAKS``, the paper's: IC and FO are decided once no higher sample has followed a toe-down peak for ``timT/5``.
-  The peak after contact comes 55 ms late as it is; with the wait the decision is over 100 ms late.
-- ``INSTANTS``, ours: IC when after mid-swing the rate turns toe-down as if struck (a foot that lands on its forefoot
-  turns slowly before it lands), or an impact jolts the accelerometer, or the heel drops after a forefoot landing; FO
-  when push-off's rate has fallen from its peak. Heights are shares of medians, hence free of any unit. They are tuned
-  at the same times, and durations scale with ``timT``.
+- ``PEAKS``, the paper's: IC and FO are decided once no higher sample has followed a toe-down peak for ``timT/5``, over
+  100 ms late.
+- ``INSTANTS``, ours: IC when after mid-swing the rate turns toe-down as if struck, or an impact jolts the
+  accelerometer, or the heel drops after a forefoot landing; FO when push-off's rate has fallen from its peak. Heights
+  are shares of medians, durations scale with ``timT``.
 
-The machine goes FO → mid-swing → IC → FO, so that between two decided mid-swings there is exactly one IC and one FO.
-The one exception is a heel lifted and put back: nobody can know at the time that no swing will follow, so its FO has
-been decided, is not taken back, and the next push-off's FO follows.
+The machine goes FO → mid-swing → IC → FO, so that between two decided mid-swings there is exactly one IC and one FO,
+but for a heel lifted and put back: its FO has been decided, and the next push-off's FO follows.
 """
 
 import math
@@ -331,11 +327,6 @@ class OnlineEvents:
     def thresholds(self) -> tuple[float, float]:
         """``gyrT`` (rad/s) and ``timT`` (s) now."""
         return float(self._state["gyr_t"]), float(self._state["tim_t"])
-
-    @property
-    def typical_push_off_radps(self) -> float:
-        """The toe-down peak that the heights of our rule are shares of."""
-        return float(self._state["typical_peak"])
 
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Decision]:
         """Take samples in, give back what was decided, in order.

@@ -1,46 +1,27 @@
 """Initial contact (IC) and foot off (FO) off-line: exactly one of each between two mid-swings, from 100 Hz to 1 kHz.
 
 Kumar et al. (2015), after Casamassima et al. (2014): between two mid-swing peaks of the mediolateral rate, the first
-peak the other way is IC and the second FO. Kept is the frame (mid-swing to mid-swing, one IC, one FO); departures:
+peak the other way is IC and the second FO. Kept is the frame; departures:
 
 - mid-swing is found by the *fall* from push-off's toe-down rate to the swing's toe-up rate, measured against this
-  walk's own falls, not by the height of a peak: a dragged foot hardly turns toe-up, a forefoot landing turns toe-up
-  twice. Every swing has a push-off of its own: a second fall before which the foot has not turned toe-down belongs to
-  the same swing (a stimulated muscle snaps the foot up as it leaves; the swing's own turn comes 0.4 s later);
-- IC is where the rate turns from toe-up to toe-down (the foot is at its greatest pitch), not the peak that follows:
-  that peak is 55–60 ms late in healthy walks and 50–95 ms in stroke. The turn counts once the rate has reached
-  ``TURN_SHARE`` of push-off's peak, some 3 ms later, for a foot may stop turning before it lands. What is left is a
-  constant (``IC_OFFSET_S``). A foot that lands flat or on its forefoot is not thrown toe-down; there IC is where the
-  impact begins, or, without one, where the heel begins to drop;
-- FO is half-way between push-off's last peak and the fall to 75 % of it. The peak alone is early, by 5–17 ms,
-  and far too early where push-off has shoulders (turning); the fall alone is 3 ms late where it is abrupt and 20 ms
-  where it is gentle.
+  walk's own falls: a dragged foot hardly turns toe-up, a forefoot landing turns toe-up twice. A second fall before
+  which the foot has not turned toe-down belongs to the same swing;
+- IC is where the rate turns from toe-up to toe-down, not the peak that follows, 50–95 ms late. The turn counts once the
+  rate has reached ``TURN_SHARE`` of push-off's peak; what is left is a constant (``IC_OFFSET_S``). A foot that lands
+  flat or on its forefoot is not thrown toe-down; there IC is where the impact begins, or else where the heel drops;
+- FO is half-way between push-off's last peak and the fall to 75 % of it: the peak alone is early, the fall alone late.
 
 Rates are smoothed without lag, so the offsets hold at every sampling rate. In the code positions are sample indices.
 
-Foot-strike angle: pitch of the foot at IC relative to mid-stance, toe-up positive, from the mediolateral rate alone.
+Foot-strike angle: pitch at IC relative to mid-stance, toe-up positive, from the mediolateral rate alone, for over some
+0.3 s a gyroscope hardly drifts. Mid-stance is the middle *in time* between IC and FO: a brisk foot rolls on all through
+stance, and its quietest instant is early (against Vicon means of 13 runs 0.98 and 2.1°, the middle 0.99 and 1.3°).
 
-Between IC and mid-stance lie some 0.3 s, over which a gyroscope drifts by hundredths of a degree: no orientation
-filter is needed, the instants decide. IC is the greatest pitch of a heel strike, so that some ms more or less hardly
-matter. What matters is mid-stance: the middle *in time* between IC and FO, as in optical gait analysis, not the
-quietest instant. A brisk walker's foot rolls on at 0.5 rad/s all through stance, and the quietest instant comes early
-in it; that costs 6° in the fastest patient and 1° in the slowest. Against Vicon means of 13 runs of 4 patients the
-quietest instant gives a correlation of 0.98 and an SD of 2.1°, the middle of stance 0.99 and 1.3°.
-
-Foot flat and heel rise off-line: where a stance's pitch comes to mid-stance's, and where it leaves it.
-
-Between a contact and the next foot off the foot's pitch is that of its mid-stance, but for its landing and its roll
-over the forefoot. The pitch is the mediolateral rate's integral over a few tenths of a second, so that a gyroscope's
-drift is hundredths of a degree, and mid-stance's is the mean of a tenth of a second in the middle of the stance:
-
-- *foot flat*: from then on until mid-stance the pitch is within ``FLAT_RAD`` of mid-stance's and turns more slowly than
-  ``FLAT_RADPS``, and the roll about the foot's long axis, inversion and eversion, is within ``FLAT_RAD`` of
-  mid-stance's as well: a paretic foot lands on its outer border with its pitch near to level. A foot that lands
-  on its forefoot slowly is flat no sooner than its heel has come down, to ``HEEL_DOWN_RAD`` below mid-stance's pitch;
-- *heel rise*: the last instant at which the foot has not yet turned toe-down by ``RISE_RAD`` from mid-stance.
-
-No paper; foot-flat by angle and rate after Mariani et al. (2013). ``benchmarks/accuracy/offline_phases.py`` holds both
-against footswitches, and chooses the angles again without the walker that is judged.
+Foot flat and heel rise, by that pitch. *Foot flat*: from then on until mid-stance the pitch, and the roll about the
+foot's long axis (a paretic foot lands on its outer border), are within ``FLAT_RAD`` of mid-stance's and it turns more
+slowly than ``FLAT_RADPS``; of a slow forefoot landing no sooner than the heel is down. *Heel rise*: the last instant at
+which the foot has not yet turned toe-down by ``RISE_RAD``. After Mariani et al. (2013);
+``benchmarks/accuracy/offline_phases.py`` holds both against footswitches, without the walker that is judged.
 """
 
 import math
@@ -59,9 +40,9 @@ from fes.estimation.numerics.filters import (
     filter_backwards,
     low_pass,
     moving_sums,
+    runs,
 )
 from fes.estimation.numerics.jit import jit, jit_ieee
-from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import NS_PER_S, FloatArray, IntArray
@@ -144,34 +125,11 @@ def greatest_at(x: Vec, begin: int, end: int) -> int:
 
 
 @jit
-def all_greatest_at(x: Vec, begins: Vec, ends: Vec, out: Vec) -> None:
-    """As :func:`greatest_at` of K spans."""
-    for k in range(begins.shape[0]):
-        out[k] = greatest_at(x, begins[k], ends[k])
-
-
-@jit
 def typical_falls(falls: Vec, out: Vec) -> None:
     """At each of K falls the median of the upper third of it and its neighbours: some of the peaks are not swings."""
-    near, n, end = np.empty(2 * NEIGHBOURS + 1), 0, 0  # rising
     for k in range(falls.shape[0]):
-        if k > NEIGHBOURS:  # one is no neighbour any more
-            j = 0
-            while near[j] < falls[k - NEIGHBOURS - 1]:
-                j += 1
-            n -= 1
-            while j < n:
-                near[j] = near[j + 1]
-                j += 1
-        while end < min(k + NEIGHBOURS + 1, falls.shape[0]):
-            j = n
-            while j > 0 and near[j - 1] > falls[end]:
-                near[j] = near[j - 1]
-                j -= 1
-            near[j] = falls[end]
-            n, end = n + 1, end + 1
-        upper = min(max(3, n // 3), n)
-        out[k] = 0.5 * (near[n - upper + upper // 2] + near[n - upper + (upper - 1) // 2])
+        near = np.sort(falls[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1])
+        out[k] = np.median(near[-min(max(3, near.size // 3), near.size) :])
 
 
 @jit
@@ -416,7 +374,7 @@ def gaps_in(t_ns: IntArray) -> IntArray:
     longest_ns = NS_PER_S * LONGEST_GAP_S
     if not len(steps) or steps.max() <= longest_ns:
         return np.zeros(0, np.int64)
-    return np.flatnonzero(steps > max(longest_ns, 3.5 * median(steps))) + 1
+    return np.flatnonzero(steps > max(longest_ns, 3.5 * float(np.median(steps)))) + 1
 
 
 class _Walk:
@@ -463,9 +421,10 @@ class _Walk:
         typical_falls(troughs, typical_trough)
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
         large = (falls > FALL_SHARE * typical) & (troughs > TROUGH_SHARE * typical_trough)
-        self._peak_rate = float(
-            np.sqrt(median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
-        )
+        if not large.any():
+            return falls[large], peaks[large], peaks[large]
+        brisk = _greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)
+        self._peak_rate = math.sqrt(np.median(brisk))
         # of a small fall: is it part of a movement as brisk as a step
         small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical) & ~large
         (doubtful,), around, either = np.nonzero(small), round(FALL_S * self._rate_hz), large.copy()
@@ -475,7 +434,7 @@ class _Walk:
         mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
-        self._typical_jerk = median(_greatest(s.jerk, mids, mids + reach))
+        self._typical_jerk = float(np.median(_greatest(s.jerk, mids, mids + reach)))
         return falls[either], offs, mids
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:
@@ -488,15 +447,12 @@ class _Walk:
 
     def _rests(self, begin: int, end: int) -> bool:
         quiet = self._signals.energy[begin : max(begin, end)] < (REST_SHARE * self._peak_rate) ** 2
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], quiet.astype(np.int8), [0]))))
-        return bool(len(edges)) and int((edges[1::2] - edges[0::2]).max()) >= REST_S * self._rate_hz
+        return int(np.diff(runs(quiet)).max(initial=0)) >= REST_S * self._rate_hz
 
 
 def _greatest_at(x: FloatArray, begins: IntArray, ends: IntArray) -> IntArray:
     """Where the greatest of ``x`` lies in each of K spans."""
-    at = np.empty(len(begins), np.int64)
-    all_greatest_at(x, begins, ends, at)
-    return at
+    return np.array([greatest_at(x, begin, end) for begin, end in zip(begins, ends, strict=True)], np.int64)
 
 
 def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
@@ -506,7 +462,7 @@ def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
 
 def _typical(falls: FloatArray) -> float:
     """The median of the upper third: some of the peaks are not swings."""
-    return median(np.sort(falls)[-max(3, len(falls) // 3) :])
+    return float(np.median(np.sort(falls)[-max(3, len(falls) // 3) :]))
 
 
 FLAT_RAD, FLAT_RADPS, FLAT_OVER_S = np.radians(5.0), 2.0, 0.02  # the rate is the mean over so long on either side

@@ -1,18 +1,15 @@
 """How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, levels.
 
 Nothing is assumed of the mounting, of rests, of cadence or of the side; of the walk, that it goes forward. Where the
-strides lead, each seen from its own foot, is forward up to toe-out: turns, curves and a foot swung outward do not
-matter. The *fall* of the mediolateral rate from push-off to mid-swing tells the axis more precisely: heel rise and the
-flexion of hip and knee are sagittal even where a foot lands on its edge or drags. But some feet roll obliquely over
-their toes. So the two are joined, each as sure as it is, and the falls, whose error has the longer tails, move the axis
-from the travel by no more than one standard deviation of what the two are apart (Huber, *Ann Math Stat* 35, 1964).
-Where they are at odds the axis is less sure. That the foot tilts further toe-down than toe-up tells forward from
-backward.
+strides lead, each seen from its own foot, is forward up to toe-out. The *fall* of the mediolateral rate from push-off
+to mid-swing tells the axis more precisely: heel rise and the flexion of hip and knee are sagittal even where a foot
+lands on its edge or drags. But some feet roll obliquely over their toes. So the two are joined, each as sure as it is,
+and the falls move the axis from the travel by no more than one standard deviation of what the two are apart (Huber,
+*Ann Math Stat* 35, 1964). That the foot tilts further toe-down than toe-up tells forward from backward.
 
 Gravity shows at the quietest instants between two falls. There the accelerometer's magnitude differs from gravity by a
-bias (a scale fits real sensors worse). The gyroscope's bias follows from gravity's closure: from quiet instant to quiet
-instant the integrated turn must carry gravity to gravity; both ends are the same part of the gait cycle, so what is not
-gravity cancels.
+bias. The gyroscope's bias follows from gravity's closure: from quiet instant to quiet instant the integrated turn must
+carry gravity to gravity.
 """
 
 from __future__ import annotations
@@ -26,12 +23,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fes.estimation.foot.features import FootParameters, lags_at
-from fes.estimation.foot.movements import closures, contact_jumps, follow, moving_mean, peaks_before, quiet_ends
-from fes.estimation.numerics.filters import falls_apart
-from fes.estimation.numerics.ranks import median, percentile
+from fes.estimation.foot.movements import closures, contact_jumps, follow, peaks_before, quiet_ends
+from fes.estimation.numerics.filters import falls_apart, moving_mean
 from fes.estimation.numerics.rotation import cross, without
 from fes.estimation.tracking.phase_features import usual_swing_s
-from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
+from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, window_variances
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -222,7 +218,7 @@ def calibrate_foot(
         acc_bias = acc_bias + _acc_bias_across(t_ns, walk.spans, moved, up, incline)
     toe_down, around = gyr @ walk.axis, max(round(SMOOTH_S * rate_hz), 1)
     push_off = _around(np.maximum, toe_down, walk.push_offs, around)
-    fall_radps = median(push_off - _around(np.minimum, toe_down, walk.mids, around))
+    fall_radps = np.median(push_off - _around(np.minimum, toe_down, walk.mids, around))
     if fall_radps < LEAST_FALL_RADPS:
         raise CalibrationError(
             f"{sensor}: too slow to turn: its rate falls by {fall_radps:.1f} rad/s from push-off to mid-swing; a foot "
@@ -240,10 +236,10 @@ def calibrate_foot(
         toe_down=_vector(walk.axis),
         acc_bias_mps2=_vector(acc_bias),
         gyr_bias_radps=_vector(rate_bias),
-        push_off_radps=median(push_off),
+        push_off_radps=np.median(push_off),
         fall_radps=fall_radps,
-        stride_s=median(between_s) if len(between_s) else USUAL_STRIDE_S,
-        contact_jerk_mps3=max(median(jumps) if len(jumps) else 0.0, LEAST_JUMP_MPS3),
+        stride_s=np.median(between_s) if len(between_s) else USUAL_STRIDE_S,
+        contact_jerk_mps3=max(np.median(jumps) if len(jumps) else 0.0, LEAST_JUMP_MPS3),
         axis_confidence=walk.confidence,
         strides=len(walk.spans),
         standing=standing,
@@ -271,7 +267,7 @@ def _find_walk(
         moved = follow(t_ns, acc, gyr, each)
         ways = _turned_back(moved["way"], moved["turn"], up)
         ends = unrest[each].max(axis=1)
-        usual = max(percentile(ends, 25.0), LEAST_UNREST)
+        usual = max(np.percentile(ends, 25.0), LEAST_UNREST)
         far = (_sizes(ways) > MIN_TRAVEL_M) & (ends <= MOST_RESTLESS * usual)
         ways *= (usual / (usual + ends))[:, None]  # what a foot that does not rest leaves in the way is no travel
         most = max(most, int(far.sum()))
@@ -323,7 +319,7 @@ def _other_way(
         own = angle[:, first : last + 1] - angle[:, first, None]
         tilt = own - own[:, -1:] / (last - first) * steps[: last + 1 - first]
         tilts[k] = *tilt.max(axis=1), *-tilt.min(axis=1)
-    toe_down, one_side, toe_up, other_side = np.degrees(_medians(tilts)).tolist()
+    toe_down, one_side, toe_up, other_side = np.degrees(np.median(tilts, axis=0)).tolist()
     if toe_up - toe_down > math.degrees(BACKWARD_RAD):
         seen = f"on its way the foot tilts toe-up by {toe_up:.0f}° and toe-down by {toe_down:.0f}°"
         return f"it walked backward: {seen}; or the sensor's axes are left-handed, or one has the wrong sign."
@@ -360,7 +356,7 @@ def _joined(
         push_offs = peaks_before(toe_down, mids, round(FALL_S * rate_hz) | 1)
         vectors = _level(smooth[push_offs] - smooth[mids], up)
         mean = _typical(vectors, up)
-        falls_var = FALLS_SD_RAD**2 + (SD_OF_MEDIAN * median(_angles(vectors, mean))) ** 2
+        falls_var = FALLS_SD_RAD**2 + (SD_OF_MEDIAN * np.median(_angles(vectors, mean))) ** 2
         apart = float(np.arctan2(np.cross(left, mean) @ up, left @ mean))
         sum_var = falls_var + travel_var
         toe_out = math.copysign(min(abs(apart) * travel_var / sum_var, math.sqrt(sum_var)), apart)
@@ -430,7 +426,7 @@ def _bias_by_closure(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: In
         told = np.einsum("k,kji,kj->i", weight, effect, missed) / CLOSURE_SD_RAD**2
         bias = np.linalg.solve(known + np.eye(3) / GYR_BIAS_SD_RADPS**2, told)
         off = _sizes(missed - effect @ bias)
-        weight = np.minimum(1.0, HUBER * median(off) / np.maximum(off, 1e-9))
+        weight = np.minimum(1.0, HUBER * np.median(off) / np.maximum(off, 1e-9))
     return np.asarray(bias)
 
 
@@ -439,7 +435,7 @@ def refuse_degrees(sensor: str, gyr_radps: FloatArray) -> None:
     sizes = _sizes(gyr_radps)
     if float((sizes > DEGREES_RADPS).mean()) > DEGREES_SHARE:
         raise CalibrationError(
-            f"{sensor}: the gyroscope's peaks of {percentile(sizes, 99.0):.0f} rad/s are more than any leg turns: "
+            f"{sensor}: the gyroscope's peaks of {np.percentile(sizes, 99.0):.0f} rad/s are more than any leg turns: "
             "is its unit °/s? Check gyr_unit, or the sensor's own settings."
         )
 
@@ -462,7 +458,7 @@ def _around(of: np.ufunc, values: FloatArray, at: IntArray, around: int) -> Floa
 
 def _restless(unrest: FloatArray, spans: IntArray) -> float:
     """How much unrest there is at the strides' ends, but for the worst of them."""
-    return percentile(unrest[spans.ravel()], RESTLESS_PERCENT) if len(spans) else np.inf
+    return np.percentile(unrest[spans.ravel()], RESTLESS_PERCENT) if len(spans) else np.inf
 
 
 def _large(values: FloatArray, share: float) -> npt.NDArray[np.bool_]:
@@ -480,7 +476,7 @@ def _level(vectors: FloatArray, up: FloatArray) -> FloatArray:
 
 def _typical(vectors: FloatArray, up: FloatArray) -> FloatArray:
     """The level direction (3,) of their medians."""
-    return _unit(_level(_medians(_level(vectors, up))[None], up)[0])
+    return _unit(_level(np.median(_level(vectors, up), axis=0)[None], up)[0])
 
 
 def _vector(v: FloatArray) -> Vector3:
@@ -490,9 +486,12 @@ def _vector(v: FloatArray) -> Vector3:
 def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, bool]:
     """Gyroscope bias from the stillest second, zero where nobody stood still."""
     n = round(STANDING_S * rate_hz)
-    begin, best = least_spread(np.ascontiguousarray(acc), np.ascontiguousarray(gyr), n, max(n // 4, 1), 0.1)
-    bias = _medians(gyr[begin : begin + n]) if begin >= 0 else np.zeros(3)
-    standing = best < STANDING_RATE_RADPS and float(np.linalg.norm(bias)) < 0.2
+    step = max(n // 4, 1)
+    turning, shaking = (np.sqrt(window_variances(np.ascontiguousarray(x), n, step).max(axis=1)) for x in (gyr, acc))
+    spread = turning + 0.1 * shaking
+    begin = step * int(np.argmin(spread))
+    bias = np.median(gyr[begin : begin + n], axis=0)
+    standing = bool(spread.min() < STANDING_RATE_RADPS and np.linalg.norm(bias) < 0.2)
     return (bias if standing else np.zeros(3)), standing
 
 
@@ -507,15 +506,10 @@ def _rest(energy: FloatArray, acc: FloatArray, window: int) -> tuple[FloatArray,
     force, turning = moving_mean(size, window), energy / RATE_TOLERANCE_RADPS**2
     unrest = turning
     for _ in range(QUIET_PASSES + 1):
-        quiet = unrest <= percentile(unrest, QUIET_PERCENT)
-        norm = median(size[quiet])
+        quiet = unrest <= np.percentile(unrest, QUIET_PERCENT)
+        norm = np.median(size[quiet])
         unrest = turning + ((force - norm) / ACC_TOLERANCE_MPS2) ** 2
-    return unrest, _medians(acc[quiet]), norm
-
-
-def _medians(vectors: FloatArray) -> FloatArray:
-    """Of each column (3,) of vectors (N, 3)."""
-    return np.array([median(column) for column in vectors.T])
+    return unrest, np.median(acc[quiet], axis=0), norm
 
 
 def _angles(vectors: FloatArray, unit: FloatArray) -> FloatArray:
@@ -562,7 +556,7 @@ def _acc_bias_across(
         row, mean = row / weight.sum(), mean / weight.sum()
         bias = np.linalg.solve(row.T @ row + np.eye(3) / ACC_BIAS_SD_MPS2**2, row.T @ mean)
         off = np.hypot(*(left - rows @ bias).T)
-        weight = np.minimum(1.0, HUBER * median(off) / np.maximum(off, 1e-9))
+        weight = np.minimum(1.0, HUBER * np.median(off) / np.maximum(off, 1e-9))
     return np.asarray(across @ bias)
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from fes.estimation.numerics.filters import solve
 from fes.estimation.numerics.jit import inlined, jit, jit_ieee
-from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, from_gravity, to_sensor, to_world, turn_by, up_in_sensor
 from fes.signals import G_MPS2, FloatArray, IntArray
@@ -21,19 +21,6 @@ BACK = 0.3  # share of the tilt found at a movement's end that is taken back whe
 MOVED = np.dtype(
     [("turn", "f8", 4), ("way", "f8", 3), ("left", "f8", 2), ("effect", "f8", (2, 3)), ("lively", "f8")]
 )  # fmt: skip
-
-
-def moving_mean(x: FloatArray, window: int) -> FloatArray:
-    """Centred mean over ``window`` samples, (N,) → (N,), N at least ``window``; at the ends over those there are."""
-    before, after = window // 2, window - window // 2
-    total = np.zeros(len(x) + window)  # from ``before`` samples ahead of the first to ``after`` beyond the last
-    inside = slice(before + 1, before + 1 + len(x))
-    np.cumsum(x, out=total[inside])
-    total[inside.stop :] = total[inside.stop - 1]
-    count = np.full(len(x), float(window))
-    count[:before] -= np.arange(before, 0, -1)
-    count[len(x) - after + 1 :] -= np.arange(1, after)
-    return np.asarray((total[window:] - total[: len(x)]) / count)
 
 
 @jit

@@ -1,4 +1,4 @@
-"""Low passes without lag, moving sums, likeness to itself, greatest values of late, peaks apart, in compiled loops.
+"""Low passes without lag, moving sums, greatest values of late, peaks apart, in compiled loops; a linear system.
 
 They give what ``scipy.signal`` and ``scipy.ndimage`` give (a test holds them to it), whose import alone takes longer
 than the analysis of a short recording.
@@ -8,14 +8,12 @@ import math
 
 import numpy as np
 
-from fes.estimation.numerics.jit import inlined, jit, jit_ieee
+from fes.estimation.numerics.jit import by_number, inlined, jit, jit_fused, jit_ieee
 from fes.estimation.numerics.records import Mat, Vec
-from fes.signals import FloatArray, IntArray
+from fes.signals import BoolArray, FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
-BLOCK = 64  # rows
-THINNED = 128  # at a time: their rows stay in the processor's nearest cache
-ALL_BUT_SIGN = 0x7FFF_FFFF_FFFF_FFFF
+SINGULAR = 1e-150  # smaller pivots are rounding
 
 Section = tuple[float, float, float]
 
@@ -29,6 +27,24 @@ def low_pass(rate_hz: float, cutoff_hz: float) -> Section:
     damped = math.sqrt(2.0) * k
     whole = 1.0 + damped + k * k
     return k * k / whole, 2.0 * (k * k - 1.0) / whole, (1.0 - damped + k * k) / whole
+
+
+def moving_mean(x: FloatArray, window: int) -> FloatArray:
+    """Centred mean over ``window`` samples along the first axis, shorter at the ends, same shape."""
+    if window <= 1:
+        return x
+    total = np.cumsum(np.concatenate((np.zeros((1, *x.shape[1:])), x)), axis=0)
+    index = np.arange(len(x))
+    begin = np.maximum(index - window // 2, 0)
+    end = np.minimum(index - window // 2 + window, len(x))
+    count = (end - begin).reshape((-1,) + (1,) * (x.ndim - 1))
+    return np.asarray((total[end] - total[begin]) / count)
+
+
+def runs(inside: BoolArray) -> IntArray:
+    """Stretches (K, 2) of True: first sample, and one past the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+    return edges.reshape(-1, 2)
 
 
 @inlined
@@ -78,91 +94,6 @@ def moving_sums(x: Vec, count: int, ahead: int, share: float, out: Vec) -> None:
                 out[i - ahead] = share * (left[j + 1] + total)
         for j in range(count - 1, -1, -1):
             left[j] = left[j + 1] + block[j]
-
-
-@inlined
-def thinned_sizes(x: Mat, step: int, out: Vec) -> None:
-    """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
-    share = 1.0 / step
-    for begin in range(0, out.shape[0], THINNED):
-        some = out[begin : begin + THINNED]
-        for k in range(some.shape[0]):
-            some[k] = 0.0
-        for i in range(step):  # the same row of each, several in one instruction
-            rows = x[begin * step + i :]
-            for k in range(some.shape[0]):
-                a, b, c = rows[k * step, 0], rows[k * step, 1], rows[k * step, 2]
-                some[k] += share * math.sqrt(a * a + b * b + c * c)
-
-
-@jit_ieee
-def _sizes(bits: Vec, count: int, out: Vec) -> None:
-    """Fill ``out`` (K,) with the greatest of each ``count`` of ``bits`` (N,), without their signs.
-
-    Numbers in IEEE's format without their signs are in the order of their bits, and what is no number comes last; and
-    bits are compared several at a time.
-    """
-    for k in range(out.shape[0]):
-        top, block = 0, bits[k * count : (k + 1) * count]
-        for i in range(block.shape[0]):
-            top = max(top, block[i] & ALL_BUT_SIGN)
-        out[k] = top
-
-
-def largest_in_blocks(x: FloatArray) -> FloatArray:
-    """The greatest size in each ``BLOCK`` rows of ``x`` (N, 3); NaN where there is one."""
-    out = np.empty(-(-len(x) // BLOCK), np.int64)
-    _sizes(np.ascontiguousarray(x, dtype=np.float64).ravel().view(np.int64), 3 * BLOCK, out)
-    return out.view(np.float64)
-
-
-def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Which rows of ``x`` (N, 3) lie in blocks whose ``largest`` reaches a bound, and each one's greatest size."""
-    rows = (BLOCK * np.flatnonzero(largest >= bound)[:, None] + np.arange(BLOCK)).ravel()
-    rows = rows[: np.searchsorted(rows, len(x))]
-    a, b, c = np.abs(x[rows]).T
-    return rows, np.maximum(np.maximum(a, b), c)
-
-
-@inlined
-def likeness(x: Vec, shortest: int, out: Vec) -> None:
-    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
-
-    For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction,
-    and four samples at a time each sum is fetched and put back once.
-    """
-    later, lags, begin = x[shortest:], out.shape[0], 0
-    for lag in range(lags):
-        out[lag] = 0.0
-    while begin + 3 + lags <= later.shape[0]:
-        a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
-        for lag in range(lags):
-            i = begin + lag
-            out[lag] = (((out[lag] + a * later[i]) + b * later[i + 1]) + c * later[i + 2]) + d * later[i + 3]
-        begin += 4
-    for i in range(begin, later.shape[0]):
-        for lag in range(min(lags, later.shape[0] - i)):
-            out[lag] += x[i] * later[i + lag]
-
-
-@jit_ieee
-def likeness_of_lengths(x: Mat, step: int, shortest: int, out: Vec) -> float:
-    """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), N at least ``step``, less its mean.
-
-    Gives that of lag 0.
-    """
-    size = np.empty(x.shape[0] // step)
-    thinned_sizes(x, step, size)
-    first, mean, whole = size[0], 0.0, 0.0
-    for k in range(size.shape[0]):
-        size[k] -= first  # so that of lengths that are all the same nothing is left, not even rounding
-        mean += size[k]
-    mean /= size.shape[0]
-    for k in range(size.shape[0]):
-        size[k] -= mean
-        whole += size[k] * size[k]
-    likeness(size, shortest, out)
-    return whole
 
 
 def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray]:
@@ -252,3 +183,31 @@ def spreads(vectors: Mat, begins: Vec, size: int, window: int, squares: Vec, out
                 out[at // window - 1] = math.sqrt(max(away, 0.0) / window)
                 inside = 0
                 x = y = z = square = 0.0
+
+
+@by_number
+@jit_fused
+def solve(system: Mat, count: int) -> bool:
+    """Solve the first ``count`` equations in place by Gauss with pivoting, the same to the last bit on any machine.
+
+    ``system`` (M, M + 1): the matrix in the first ``count`` columns, the right side in the last, where the solution
+    ends up. Returns False, with the system spoilt, where the matrix is singular.
+    """
+    right = system.shape[1] - 1
+    for i in range(count):
+        pivot = i
+        for j in range(i + 1, count):
+            if abs(system[j, i]) > abs(system[pivot, i]):
+                pivot = j
+        if abs(system[pivot, i]) < SINGULAR:
+            return False
+        for k in range(right + 1):
+            system[i, k], system[pivot, k] = system[pivot, k], system[i, k]
+        for j in range(count):
+            if j != i:
+                factor = system[j, i] / system[i, i]
+                for k in range(right + 1):
+                    system[j, k] -= factor * system[i, k]
+    for i in range(count):
+        system[i, right] /= system[i, i]
+    return True

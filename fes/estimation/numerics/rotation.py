@@ -107,18 +107,6 @@ def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, 
     return w, 0.5 * uy / w, -0.5 * ux / w, 0.0
 
 
-@jit
-def foot_axes(q: Mat, forward: Vec, up: Vec, out: Mat) -> None:
-    """Fill the columns of ``out`` (N, 3, 3) with ``forward``, left and ``up`` (3,) of the sensor frame in the world."""
-    fx, fy, fz, ux, uy, uz = forward[0], forward[1], forward[2], up[0], up[1], up[2]
-    lx, ly, lz = uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx
-    for i in range(q.shape[0]):
-        w, x, y, z = q[i, 0], q[i, 1], q[i, 2], q[i, 3]
-        out[i, 0, 0], out[i, 1, 0], out[i, 2, 0] = to_world(w, x, y, z, fx, fy, fz)
-        out[i, 0, 1], out[i, 1, 1], out[i, 2, 1] = to_world(w, x, y, z, lx, ly, lz)
-        out[i, 0, 2], out[i, 1, 2], out[i, 2, 2] = to_world(w, x, y, z, ux, uy, uz)
-
-
 def quaternions_of(axes: FloatArray) -> FloatArray:
     """Quaternions (N, 4) of rotations given as their matrices (N, 3, 3)."""
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(axes, 0, 2)
@@ -141,17 +129,11 @@ def cross(a: Sequence[float], b: Sequence[float]) -> FloatArray:
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
-def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
-    """Rotate one sensor vector (3,) by each quaternion (N, 4): (N, 3) in the world."""
-    out, (x, y, z) = np.empty((len(quaternion), 3)), v.tolist()
-    _rotate_rows(quaternion, x, y, z, out)
-    return out
-
-
-@jit
-def _rotate_rows(q: Mat, x: float, y: float, z: float, out: Mat) -> None:
-    for i in range(q.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], x, y, z)
+def rotate_all(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Rotate one sensor vector (3,), or one each (N, 3), by quaternions (N, 4): (N, 3) in the world."""
+    axis = quaternions[:, 1:]
+    t = 2.0 * np.cross(axis, vectors)
+    return np.asarray(vectors + quaternions[:, :1] * t + np.cross(axis, t))
 
 
 @jit_ieee

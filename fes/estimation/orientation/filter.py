@@ -1,14 +1,11 @@
 """Indirect Kalman filter for the orientation of any moving body, from one inertial sensor; compiled, causal.
 
 Gravity shows in a moving body's specific force only on average. What bounds the average is speed: the level part of the
-acceleration, integrated, stays as small as the body's speed. So beside the errors of orientation and gyroscope bias
-the filter carries the level velocity and takes "about zero" for a measurement of it, with noise that adapts to the
-movement: a body whose acceleration is ``a`` rms over a short time moves at about ``a · movement_s``. Quiet moments
-then count for much and wild ones for little. That suits a foot, which goes ahead in bursts and rests between. What is
-swayed about a place is fastest just where its acceleration is nil: weights that follow the acceleration then keep its
-velocity from averaging out. Where the acceleration has been even for some seconds (squared mean over mean square: feet
-0.4, a board in the hand 0.6 to 0.9) the speed's noise is therefore nearly constant, as in VQF, whose low-pass has one
-time constant for all movement. Where rest is known (stance), the speed is zero but for little.
+acceleration, integrated, stays as small as the body's speed. So the filter carries the level velocity and takes "about
+zero" for a measurement of it, with noise that adapts: a body whose acceleration is ``a`` rms moves at about
+``a · movement_s``, so that quiet moments count for much. What is swayed about a place is fastest just where its
+acceleration is nil; where the acceleration has been even for some seconds (squared mean over mean square: feet 0.4, a
+board in the hand 0.6 to 0.9) the speed's noise is therefore nearly constant, as in VQF. In stance the speed is zero.
 
 State, as errors in the world: ``theta`` with ``R^ = exp(theta) R``, ``beta = b^ - b``, ``nu = v^ - v`` (level), and
 ``alpha``, the accelerometer's bias, which turns with the sensor and so tells itself from a tilt::
@@ -16,13 +13,12 @@ State, as errors in the world: ``theta`` with ``R^ = exp(theta) R``, ``beta = b^
     dtheta/dt = -R beta + noise,  dbeta/dt = -beta/T + noise,  dalpha/dt = noise
     dnu/dt = theta × g - R alpha - nu/T_v + noise
 
-In ``dnu/dt`` stands gravity instead of the whole force, so the heading has no part in it, and the gain of every speed
-measurement is zero in the heading's row: neither the heading nor its variance is changed. Joseph's form for such a
-gain is the usual ``P - P hᵀ h P / s`` in all but the heading's variance, which stays. A reading at the sensor's
-limit, or a lost sample, is guessed, and nothing is learnt from it.
-Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Markov bias; Laidig
-and Seel (2023), VQF, for averaging the force in a frame that gyroscopes carry, for weights that do not follow a swaying
-body's acceleration, and for stillness: its thresholds of rate and force, held for 1.5 s, show the gyroscope's bias.
+In ``dnu/dt`` stands gravity instead of the whole force, and the gain of every speed measurement is zero in the
+heading's row: neither the heading nor its variance is changed. A reading at the sensor's limit, or a lost sample, is
+guessed, and nothing is learnt from it.
+Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Markov bias; Laidig and Seel (2023), VQF,
+for averaging the force in a frame that gyroscopes carry, weights that do not follow a swaying body's acceleration, and
+stillness: its thresholds of rate and force, held for 1.5 s, show the gyroscope's bias.
 """
 
 import math

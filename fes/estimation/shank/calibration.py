@@ -15,15 +15,15 @@ import numpy as np
 
 from fes.estimation.foot.calibration import CalibrationError, refuse_degrees
 from fes.estimation.foot.features import lags_at
+from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.shank.features import ShankParameters
-from fes.estimation.shank.lever_arm import SHANK, ArmEstimate, ArmPrior, learn_arm
+from fes.estimation.shank.lever_arm import ArmEstimate, learn_arm
 from fes.estimation.shank.motion import (
     CONJUGATE,
     ShankLevels,
     StrideSpan,
     fit_levels,
     levelled,
-    rotate_each,
     still_spans,
     stride_spans,
     swing_peaks,
@@ -104,15 +104,13 @@ class ShankCalibration:
 
 def calibrate_shank(
     sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray, *,
-    prior: ArmPrior = SHANK, level: bool = True,
+    level: bool = True,
 ) -> ShankCalibration:  # fmt: skip
     """Find a shank sensor's calibration from a stretch with at least a few strides of walking forward.
 
     Args:
         sensor: its name, for messages. rate_hz: nominal sampling rate. t_ns: (N,) strictly increasing time stamps.
-        acc_mps2: (N, 3) specific force. gyr_radps: (N, 3) angular rate. prior: what is expected of the lever arm;
-        :data:`fes.estimation.shank.lever_arm.ANKLE` for a sensor at the malleoli. level: whether the stretch is on
-        level ground.
+        acc_mps2: (N, 3) specific force. gyr_radps: (N, 3) angular rate. level: whether the stretch is on level ground.
 
     Raises:
         CalibrationError: too short, rates in degrees, too few strides, or the direction of travel is ambiguous.
@@ -140,7 +138,7 @@ def calibrate_shank(
     left = left - up * (up @ left)
     left /= np.linalg.norm(left)
     acc_bias = up * excess_mps2
-    arm = learn_arm(t_ns, acc_mps2 - acc_bias, gyr, spans, up, left, prior, level=level)
+    arm = learn_arm(t_ns, acc_mps2 - acc_bias, gyr, spans, up, left, level=level)
     axes_and_biases = _vector(up), _vector(left), _vector(acc_bias), _vector(gyr_radps[0] - gyr[0])
     found = ShankCalibration(
         sensor, rate_hz, *axes_and_biases, arm, confidence, strides=len(spans), standing=bool(rests), level=level
@@ -220,8 +218,8 @@ def _bias_by_drift(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list
 def _turn(t_ns: IntArray, quaternions: FloatArray, at: int) -> FloatArray:
     """``∫ R dt`` over a stride in the sensor frame of sample ``at``: (3, 3), rotation per rate of bias."""
     dt_s = 1e-9 * np.gradient(t_ns.astype(float))
-    columns = [(rotate_each(quaternions, np.tile(e, (len(t_ns), 1))) * dt_s[:, None]).sum(axis=0) for e in np.eye(3)]
-    return rotate_each(np.tile(quaternions[at] * CONJUGATE, (3, 1)), np.array(columns)).T
+    columns = [(rotate_all(quaternions, e) * dt_s[:, None]).sum(axis=0) for e in np.eye(3)]
+    return rotate_all(quaternions[at : at + 1 or None] * CONJUGATE, np.array(columns)).T
 
 
 def _gravity(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan]) -> tuple[FloatArray, float]:
@@ -230,7 +228,7 @@ def _gravity(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[Strid
     for span in spans:
         quaternions = levelled(t_ns, acc, gyr, (span.first, span.last))
         ups.append(turned_back(quaternions[0], UP))
-        force = rotate_each(quaternions, acc[span.first : span.last + 1])
+        force = rotate_all(quaternions, acc[span.first : span.last + 1])
         forces.append(float((force[1:] + force[:-1]).mean(axis=0)[2]) / 2.0)
     up = np.median(np.array(ups), axis=0)
     return up / np.linalg.norm(up), float(np.median(forces)) - G_MPS2

@@ -1,19 +1,17 @@
 """The lever arm of a shank sensor: from the point that the shank turns about in mid-stance to the sensor.
 
 Source: Wu, Wang and Pottie, Eq. (5) ``v = w × r`` in the sensor frame and Eq. (8), ``r`` by least squares from a short
-walk. Departures from the print, and why:
+walk. Departures from the print:
 
-- Their velocity comes from one integration from rest to rest over the whole training walk, which a treadmill does not
-  have, and which drifts after some ten seconds. So two kinds of rows are used: within each stance window the *shape* of
-  the velocity (its horizontal offset is free, its vertical one known on level ground, where the stride ends as high as
-  it began), and, where the walk begins and ends standing, Wu's velocity itself.
-- A shank that turns evenly in stance does not show the arm, and a plain fit collapses. So the fit has a prior (a sensor
-  on the middle of the shank turning about the ankle, 0.30 m along the long axis), a bound and a verdict.
-- The model limits the fit, not noise that more strides would average out: the ankle is not still and the foot rolls. So
-  the information is the mean over the windows, never their sum.
+- Their velocity comes from one integration from rest to rest, which a treadmill does not have, and which drifts. So
+  within each stance window the *shape* of the velocity counts (its vertical offset is known on level ground), and,
+  where the walk begins and ends standing, Wu's velocity itself.
+- A shank that turns evenly in stance does not show the arm: the fit has a prior, a bound and a verdict.
+- The model limits the fit, not noise that more strides would average out. So the information is the mean over the
+  windows, never their sum.
 
 On ``stroke_treadmill`` the belt implies arms of 0.25–0.31 m at 0.8–1.2 m/s and 0.34–0.40 m at 1.6 m/s. The arm learnt
-is that of the ankle rocker, between foot-flat and heel-off; in the heel and forefoot rockers it is 0.1 to 0.3 m longer.
+is that of the ankle rocker; in the heel and forefoot rockers it is 0.1 to 0.3 m longer.
 """
 
 import math
@@ -22,8 +20,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from fes.estimation.numerics.rotation import from_gravity
-from fes.estimation.shank.motion import StrideSpan, from_rest, levelled, moving_mean, rotate_each, still_spans
+from fes.estimation.numerics.filters import moving_mean
+from fes.estimation.numerics.rotation import from_gravity, rotate_all
+from fes.estimation.shank.motion import StrideSpan, from_rest, levelled, still_spans
 from fes.estimation.strides.integration import integrate, orient
 from fes.signals import FloatArray, IntArray, Vector3
 
@@ -51,7 +50,6 @@ class ArmPrior:
 
 
 SHANK = ArmPrior()
-ANKLE = ArmPrior(length_m=0.10, length_sd_m=0.03, forward_sd_m=0.03)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +81,7 @@ class ArmEstimate:
 
 def learn_arm(
     t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan], up: FloatArray, left: FloatArray,
-    prior: ArmPrior = SHANK, *, level: bool = True,
+    *, level: bool = True,
 ) -> ArmEstimate:  # fmt: skip
     """Learn the arm from the strides of a short walk.
 
@@ -94,9 +92,9 @@ def learn_arm(
         spans: the strides, from :func:`fes.estimation.shank.motion.stride_spans`.
         up: (3,) unit vector along the shank, upward, sensor frame.
         left: (3,) unit mediolateral axis to the person's left, sensor frame.
-        prior: what is expected of this placement.
         level: whether the walk is on level ground.
     """
+    prior = SHANK
     axes = np.stack((np.cross(left, up), left, up))  # rows: forward, left, up in the sensor frame
     expected = np.array([0.0, 0.0, prior.length_m])
     precision = np.diag([prior.forward_sd_m**-2.0, prior.left_sd_m**-2.0, prior.length_sd_m**-2.0])
@@ -143,7 +141,7 @@ def _length_alone(information: FloatArray, pull: FloatArray, precision: FloatArr
 
 def _in_world(quaternions: FloatArray, rates: FloatArray) -> FloatArray:
     """``R [w]×`` (N, 3, 3): velocity in the world per metre of arm in the sensor frame."""
-    return np.stack([rotate_each(quaternions, np.cross(rates, axis)) for axis in np.eye(3)], axis=2)
+    return np.stack([rotate_all(quaternions, np.cross(rates, axis)) for axis in np.eye(3)], axis=2)
 
 
 def _shape_rows(

@@ -1,21 +1,16 @@
-"""What a shank does in walking: its swings, its mid-stances, and the orientation over one stride.
+"""What a shank does in walking: its swings, its mid-stances, its orientation over a stride, its levels for the guards.
 
 Source: Wu, Wang and Pottie, "A Non-ZUPT Gait Reconstruction Method for Ankle Sensors", section II-D. Departures from
-the print, and why:
+the print:
 
 - Stance there is where the mean of ``|w|²`` over 0.1 s is below 2 rad²/s², which at 1.6 m/s hardly a sample is. Here
-  the swings are found first, each person's own, and the threshold is the larger of the print's and a share of this
-  person's swing; a window not below it makes its stride invalid.
-- Within it the print takes the 0.05 s of least variance of the gyroscope's energy. A strapped sensor wobbles on the
-  soft tissue at 8–12 Hz for 0.2 s after contact. On the shanks of ``stroke_treadmill`` speed over belt spreads by 4.1 %
-  (SD) with 0.05 s, and by 2.6 % with 0.2 s; and energy instead of its variance makes the arm matter least.
-- Orientation: the shank does not rest, so the accelerometer does not show gravity at any instant. Over a whole stride
-  it does: the mean specific force in the world is gravity plus the change of velocity over the time.
+  the swings are found first, and the threshold is the larger of the print's and a share of this person's swing.
+- Within it the print takes the 0.05 s of least variance of the gyroscope's energy. A strapped sensor wobbles for 0.2 s
+  after contact: with 0.2 s of least energy speed over belt spreads by 2.6 % (SD) instead of 4.1 %.
+- The shank does not rest, so gravity shows at no instant. Over a whole stride it does: the mean specific force in the
+  world is gravity plus the change of velocity over the time.
 
-How this person's shank moves: the levels that the guards' thresholds are fitted to, from a short walk.
-
-All levels are this walk's own, so that they go with the person, the walking speed and the place of the sensor; the
-bounds only keep a strange walk from making a guard useless.
+All levels are this walk's own; the bounds only keep a strange walk from making a guard useless.
 """
 
 from __future__ import annotations
@@ -25,8 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fes.estimation.numerics.filters import moving_mean, runs
 from fes.estimation.numerics.records import new_core
-from fes.estimation.numerics.rotation import from_gravity
+from fes.estimation.numerics.rotation import from_gravity, rotate_all
 from fes.estimation.shank import features
 from fes.estimation.shank.features import ShankParameters
 from fes.estimation.strides.integration import double_integral, integrate, orient
@@ -64,28 +60,9 @@ class StrideSpan:
     quiet: bool
 
 
-def moving_mean(x: FloatArray, window: int) -> FloatArray:
-    """Centred mean over ``window`` samples along the first axis, shorter at the ends, same shape."""
-    if window <= 1:
-        return x
-    total = np.cumsum(np.concatenate((np.zeros((1, *x.shape[1:])), x)), axis=0)
-    index = np.arange(len(x))
-    begin = np.maximum(index - window // 2, 0)
-    end = np.minimum(index - window // 2 + window, len(x))
-    count = (end - begin).reshape((-1,) + (1,) * (x.ndim - 1))
-    return np.asarray((total[end] - total[begin]) / count)
-
-
-def rotate_each(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Rotate each sensor vector (N, 3) by its quaternion (N, 4) into the world."""
-    axis = quaternions[:, 1:]
-    t = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + quaternions[:, :1] * t + np.cross(axis, t))
-
-
 def turned_back(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     """A vector of the world (3,) in the sensor frame, by its quaternion (4,)."""
-    return np.asarray(rotate_each(quaternion[None] * CONJUGATE, vector[None])[0])
+    return np.asarray(rotate_all(quaternion[None] * CONJUGATE, vector)[0])
 
 
 def swing_peaks(left_radps: FloatArray, rate_hz: float) -> IntArray:
@@ -98,10 +75,8 @@ def swing_peaks(left_radps: FloatArray, rate_hz: float) -> IntArray:
     if len(brisk) == 0:
         return np.zeros(0, dtype=np.int64)
     level = SWING_SHARE * float(np.percentile(brisk, 90))
-    above = np.concatenate(([False], swing > level, [False]))
-    edges = np.flatnonzero(above[1:] != above[:-1])
     peaks: list[int] = []
-    for begin, end in zip(edges[0::2], edges[1::2], strict=True):
+    for begin, end in runs(swing > level):
         peak = int(begin + np.argmax(swing[begin:end]))
         if peaks and peak - peaks[-1] < SHORTEST_STRIDE_S * rate_hz:
             if swing[peak] > swing[peaks[-1]]:
@@ -160,8 +135,7 @@ def still_spans(acc_mps2: FloatArray, gyr_radps: FloatArray, rate_hz: float) -> 
     rate = moving_mean(gyr_radps**2, window) - moving_mean(gyr_radps, window) ** 2
     slow = np.linalg.norm(moving_mean(gyr_radps, window), axis=1) < 3.0 * STILL_RATE_RADPS
     still = slow & (shake.sum(axis=1) < STILL_FORCE_MPS2**2) & (rate.sum(axis=1) < STILL_RATE_RADPS**2)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(np.int8), [0]))))
-    return [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STILL_S * rate_hz]
+    return [(a, b - 1) for a, b in runs(still).tolist() if b - a >= STILL_S * rate_hz]
 
 
 def levelled(
@@ -182,7 +156,7 @@ def levelled(
     quaternions = np.empty((len(t), 4))
     start = np.array(from_gravity(*force.mean(axis=0)))
     orient(t, rates, start, 0.0, 0.0, 1.0, 0.0, quaternions)
-    world = rotate_each(quaternions[inner], force[inner])
+    world = rotate_all(quaternions[inner], force[inner])
     mean = (0.5 * (world[1:] + world[:-1]) * step).sum(axis=0) / step.sum()
     target = np.array([0.0, 0.0, G_MPS2])
     if change_mps is not None:

@@ -15,15 +15,7 @@ from fes.estimation.numerics.jit import jit_ieee
 UNSEEN_NS = -(2**63)  # of what did not happen, for compiled code
 
 
-def time_of(start_ns: int, end_ns: int, before_ns: int) -> int:
-    """As :func:`stride_time_ns`, with ``UNSEEN_NS`` for a stride before that there is not; ready for ``jit``."""
-    lasted_ns = end_ns - start_ns
-    if before_ns == UNSEEN_NS or not 0 <= start_ns - before_ns <= lasted_ns:
-        return lasted_ns
-    return end_ns - before_ns
-
-
-def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
+def stride_time_ns(start_ns: int, end_ns: int, before_ns: int) -> int:
     """From one stance to the next: the stride from quietest to quietest instant, and the rest before it.
 
     A long stance, as in slow walking, has two quiet instants: near its beginning one stride ends, before its end the
@@ -33,9 +25,12 @@ def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
     Args:
         start_ns: the stride's beginning.
         end_ns: its end.
-        before_ns: the end of the stride before, None when there is none.
+        before_ns: the end of the stride before, ``UNSEEN_NS`` when there is none.
     """
-    return time_of(start_ns, end_ns, UNSEEN_NS if before_ns is None else before_ns)
+    lasted_ns = end_ns - start_ns
+    if before_ns == UNSEEN_NS or not 0 <= start_ns - before_ns <= lasted_ns:
+        return lasted_ns
+    return end_ns - before_ns
 
 
 QUIET_WINDOW_S = 0.1
@@ -71,22 +66,21 @@ def around_ends(t_ns: Any, first: int, last: int) -> int:
 
 
 @jit_ieee
-def rows_before(t_ns: Any, n: int, at_ns: int) -> int:
-    """How many of the first ``n`` rising stamps are earlier than a time."""
-    low, high = 0, n
-    while low < high:
-        middle = (low + high) // 2
+def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
+    """Of the rising stamps from row ``begin`` on the first at or after a time, ``last`` if there is none before it."""
+    while begin < last:
+        middle = (begin + last) // 2
         if t_ns[middle] < at_ns:
-            low = middle + 1
+            begin = middle + 1
         else:
-            high = middle
-    return low
+            last = middle
+    return last
 
 
 @jit_ieee
 def quietest_of(t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, earliest_ns: int, latest_ns: int) -> int:
     """As :func:`quietest`, of the first ``n`` samples of a gyroscope with a bias."""
-    begin, end = rows_before(t_ns, n, earliest_ns), rows_before(t_ns, n, latest_ns + 1)
+    begin, end = index_at(t_ns, 0, n, earliest_ns), index_at(t_ns, 0, n, latest_ns + 1)
     if end - begin < 3:
         return min(begin, n - 1)
     period_s: float = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)

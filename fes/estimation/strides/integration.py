@@ -1,33 +1,31 @@
 """A stride's whole solution in one compiled call: its ends, its orientation, its trajectory, and their numbers.
 
-Constrained, bias-corrected integration of one stride.
+Constrained, bias-corrected integration of one stride: Negård et al. (2005), Eq. (14)–(20). Velocity is known at both
+ends and height is equal at both; an artificial accelerometer bias absorbs the rest. Departures from the print:
 
-Source: Negård et al. (2005), Eq. (14)–(20). Velocity is known at both ends and height is equal at both ends; an
-artificial accelerometer bias absorbs the rest. Departures from the print:
-
-- (16) has three unknowns and spends all of them on velocity, so the equal height that the text asks for cannot be met.
-  Here the bias may vary linearly in time, ``gamma(tau) = gamma0 + gamma1·(2 tau - 1)``, tau from 0 to 1 over the
-  stride, and is the smallest one that meets all four constraints. On an incline
-  the end is higher by what the ground rises; on stairs and unknown slopes the height is left free.
+- (16) has three unknowns and spends all on velocity, so the equal height cannot be met. Here the bias may vary linearly
+  in time, ``gamma(tau) = gamma0 + gamma1·(2 tau - 1)``, and is the smallest one that meets all four constraints. On an
+  incline the end is higher by what the ground rises; on stairs and unknown slopes the height is left free.
 - trapezoid sums instead of the rectangles of (15), (17), (18), which lag by half a sample.
-- the velocity at the ends need not be zero: the foot is never wholly at rest, and turns about its ground contact there.
+- the velocity at the ends need not be zero: the foot turns about its ground contact there.
 - the orientation's tilt is brought towards what gravity says at the end by a constant extra rate, of which only a share
-  is applied (``end_tilt_gain``): the accelerometer of a foot that is not wholly at rest does not measure gravity alone.
+  is applied (``end_tilt_gain``): a foot that is not wholly at rest does not measure gravity alone.
 """
 
 import math
 
 import numpy as np
 
+from fes.estimation.numerics.filters import solve
 from fes.estimation.numerics.jit import by_number, inlined, jit_fused
-from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
-from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
+from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world
 from fes.estimation.strides.boundaries import NO_REST_RADPS, around_ends, mean_and_variance
 from fes.estimation.strides.maximum_likelihood import (
     HeightNoise,
     StrideNoise,
     end_variances,
+    integrate_rates,
     maximum_likelihood,
     settle_height,
 )
@@ -45,10 +43,11 @@ def orient(
     spread evenly over the time. Returns that tilt in rad, pi where no force at all was measured.
     """
     n = t_ns.shape[0]
-    _integrate(t_ns, gyr, start, 0.0, 0.0, 0.0, out)
+    integrate_rates(t_ns, gyr, start[0], start[1], start[2], start[3], 0.0, 0.0, out)
     tilt, dx, dy = _tilt(out[n - 1], end_fx, end_fy, end_fz)
     if end_tilt_gain > 0.0 and tilt < math.pi:
-        _integrate(t_ns, gyr, start, end_tilt_gain * dx, end_tilt_gain * dy, 0.0, out)
+        dx, dy = end_tilt_gain * dx, end_tilt_gain * dy
+        integrate_rates(t_ns, gyr, start[0], start[1], start[2], start[3], dx, dy, out)
     return tilt
 
 
@@ -64,33 +63,6 @@ def _tilt(q: Vec, fx: float, fy: float, fz: float) -> tuple[float, float, float]
     tilt = math.atan2(across, uz / norm)
     by = tilt / (across * norm) if across > 1e-9 else 0.0
     return tilt, by * uy, -by * ux
-
-
-@by_number
-@jit_fused
-def _integrate(t_ns: Vec, gyr: Mat, start: Vec, dx: float, dy: float, dz: float, out: Mat) -> None:
-    """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
-    n = t_ns.shape[0]
-    span_ns = t_ns[n - 1] - t_ns[0]
-    turning = dx != 0.0 or dy != 0.0 or dz != 0.0
-    w, x, y, z = start[0], start[1], start[2], start[3]
-    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = w, x, y, z
-    for i in range(1, n):
-        dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        ex = ey = ez = 0.0
-        if turning:
-            share = (t_ns[i] - t_ns[i - 1]) / span_ns
-            ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, dz * share)
-        w, x, y, z = turn_by(
-            w,
-            x,
-            y,
-            z,
-            0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s + ex,
-            0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s + ey,
-            0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s + ez,
-        )
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
 
 
 @jit_fused

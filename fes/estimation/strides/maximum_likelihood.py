@@ -1,25 +1,17 @@
 """The most likely stride: strapdown integration whose every error is weighed, solved in one step.
 
-Negård et al. (2005) let an artificial accelerometer bias absorb all that is left over at a stride's end. But what is
-left over has several causes: tilt at the start, biases of gyroscope and accelerometer, noise of both, which grows where
-the sensor is jolted or turned fast, and a foot that is not quite at rest at the ends. Each has its size
-(:class:`StrideNoise`), and the most likely set of errors is found that explains what is known: velocity (3) and height
-(1) at the end, gravity's direction at the end (2) and the start (2): eight equations, in their dual form.
+Negård et al. (2005) let an artificial accelerometer bias absorb all that is left over at a stride's end. But that has
+several causes: tilt at the start, biases of gyroscope and accelerometer, noise of both, which grows where the sensor is
+jolted or turned fast, and a foot that is not quite at rest at the ends. Each has its size (:class:`StrideNoise`), and
+the most likely set of errors is found that explains what is known: velocity (3) and height (1) at the end, gravity's
+direction at the end (2) and the start (2): eight equations, in their dual form. How much a foot still rocks or is
+jolted at the ends is measured in each stance anew, so that no gait needs settings of its own.
 
-A jump of the specific force by more than ``jolt_mps3`` between samples is a contact that clips the sensor, or that it
-is too slow for: what it measured there is nearly worthless, and the correction goes there first.
-
-A foot that still rocks or is still jolted at a stride's end neither stands still nor shows gravity alone. How much so
-is measured there, in each stance anew, so that brisk and slow, healthy and dragging gait need no settings of their own.
-
-The height is solved by itself once the orientation is settled (:func:`settle_height`). Heights hang on the vertical
-velocity alone, and what spoils it is mostly one thing: the impact at the heel, which is over in hundredths of a second,
-clips the sensor, outruns it, and lets it shake on its shoe. What was measured then is worth little, before and after it
-much. So the error that the end shows (the foot is at rest, and as high as it began) belongs there, and swing keeps the
-height that it was lifted to. In the common solution it cannot all go there, because the same samples also bear on tilt
-and length. Two equations, velocity and height at the end. Each sample's noise grows with the fastest change of the
-specific force that is not long past; no threshold says what an impact is, so soft and hard contacts need no settings of
-their own.
+The height is solved by itself once the orientation is settled (:func:`settle_height`): it hangs on the vertical
+velocity alone, and what spoils that is mostly the impact at the heel, which clips the sensor and outruns it. The error
+that the end shows belongs there, and swing keeps the height that it was lifted to; in the common solution it cannot all
+go there, because the same samples also bear on tilt and length. Each sample's noise grows with the fastest change of
+the specific force that is not long past; no threshold says what an impact is.
 """
 
 import math
@@ -27,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fes.estimation.numerics.filters import solve
 from fes.estimation.numerics.jit import by_number, inlined, jit_fused
-from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
@@ -176,17 +168,33 @@ TILT, VELOCITY, GYR, ACC, CAUSES = 0, 2, 5, 8, 11
 UNKNOWN_HEIGHT_M = 1e3
 
 
+@by_number
 @jit_fused
-def _turn(t_ns: Vec, gyr: Mat, quaternion: Mat) -> None:
-    """Trapezoid integration of the rates from row 0 of ``quaternion`` (N, 4); fills all rows."""
-    w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
-    for i in range(1, t_ns.shape[0]):
+def integrate_rates(
+    t_ns: Vec, gyr: Mat, w: float, x: float, y: float, z: float, dx: float, dy: float, out: Mat
+) -> None:  # fmt: skip
+    """Trapezoid integration of the rates from an orientation into ``out`` (N, 4), plus a turn about the world's level
+    axes by ``dx`` and ``dy`` (rad) that is spread evenly over the time."""
+    n = t_ns.shape[0]
+    span_ns = t_ns[n - 1] - t_ns[0]
+    turning = dx != 0.0 or dy != 0.0
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = w, x, y, z
+    for i in range(1, n):
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        rx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s
-        ry = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s
-        rz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s
-        w, x, y, z = turn_by(w, x, y, z, rx, ry, rz)
-        quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
+        ex = ey = ez = 0.0
+        if turning:
+            share = (t_ns[i] - t_ns[i - 1]) / span_ns
+            ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, 0.0)
+        w, x, y, z = turn_by(
+            w,
+            x,
+            y,
+            z,
+            0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s + ex,
+            0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s + ey,
+            0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s + ez,
+        )
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
 
 
 @jit_fused
@@ -266,12 +274,10 @@ def maximum_likelihood(
     if n < 3 or t_ns[n - 1] <= t_ns[0]:
         return False, math.nan
     last = n - 1
-    for j in range(4):
-        quaternion[0, j] = start[j]
     for j in range(3):
         velocity[0, j] = end_velocities[0, j]
     if not oriented:
-        _turn(t_ns, gyr, quaternion)
+        integrate_rates(t_ns, gyr, start[0], start[1], start[2], start[3], 0.0, 0.0, quaternion)
     _move(t_ns, acc, quaternion, velocity, position)
 
     system = np.zeros((KNOWN, KNOWN + 2))  # covariance of what is left over, and what is left over
@@ -435,8 +441,8 @@ def _apply(
         forces[i, 2] = acc[i, 2] + cause[ACC + 2] + pz
     q0, q1, q2, q3 = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
     tx, ty, tz = to_sensor(q0, q1, q2, q3, cause[TILT], cause[TILT + 1], 0.0)
-    quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3] = quaternion_step(q0, q1, q2, q3, tx, ty, tz)
+    q0, q1, q2, q3 = quaternion_step(q0, q1, q2, q3, tx, ty, tz)
     for k in range(3):
         velocity[0, k] += cause[VELOCITY + k]
-    _turn(t_ns, rates, quaternion)
+    integrate_rates(t_ns, rates, q0, q1, q2, q3, 0.0, 0.0, quaternion)
     _move(t_ns, forces, quaternion, velocity, position)

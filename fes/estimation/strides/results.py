@@ -6,18 +6,15 @@ happened to be detected, and the velocity there is that of a foot turning about 
 ``fes.estimation.strides.segmentation``.
 """
 
-import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance.clearance import FootPath, FootPaths
 from fes.estimation.numerics.records import new_core
-from fes.estimation.numerics.rotation import cross
 from fes.estimation.strides import integration, segmentation
 from fes.estimation.strides.boundaries import REST_RADPS, UNSEEN_NS
 from fes.estimation.strides.schema import COLUMNS, STRIDE
@@ -29,11 +26,11 @@ SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where t
 TOE_OUT_RAD = math.radians(7.0)  # most feet 5–10° (Morton, J Bone Joint Surg 14, 1932)
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
-_NAMES = STRIDE.names or ()
+NAMES = STRIDE.names or ()
 _LEFT = [column.name for column in COLUMNS if column.name.startswith("left_")]
-_HIDDEN = [column.name for column in COLUMNS if column.core and not column.shown]
+HIDDEN = [column.name for column in COLUMNS if column.core and not column.shown]
 _ENTRIES = [f"t_{phase.name.lower()}_ns" for phase in Phase]
-_UNKNOWN = {column.name: math.nan for column in COLUMNS if column.core and column.shown and column.kind is float}
+UNKNOWN = {column.name: math.nan for column in COLUMNS if column.core and column.shown and column.kind is float}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +50,6 @@ class StrideSettings:
     incline: float = 0.0
     geometry: FootGeometry | None = None
     method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
-    watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
 
     def compiled(self, foot: str) -> SegmentationSettings:
         """For the compiler, of this foot's sensor."""
@@ -102,60 +98,22 @@ class StrideMaker:
         self.core["settings"]["next_incline"] = incline
 
     def stride_in(self, out: Out) -> StrideResult:
-        """The only stride in ``out``; its path is shown to who watches."""
-        shape = out.shapes[0].copy()
-        result = _result(self.foot, out.strides[:1].tolist()[0], shape)
-        if self.settings.watch is not None and result.valid:
-            self.settings.watch(copy.deepcopy(stride_paths(out.strides, out, self.settings).each()[0]))
-        return result
+        """The only stride in ``out``."""
+        return result_of(self.foot, out.strides[:1].tolist()[0], out.shapes[0].copy())
 
 
-def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
-    """The paths of the valid ones of (K,) strides, whose trajectories are in ``out`` and stay there."""
-    rows = rows[rows["outcome"] == integration.SOLVED]
-    contact = np.where(rows["t_loading_response_ns"] == UNSEEN_NS, rows["t_stance_ns"], rows["t_loading_response_ns"])
-    end = int((rows["first"] + rows["rows"]).max(initial=0))
-    forward, up = settings.forward, settings.up
-    return FootPaths(
-        rows["number"].copy(),
-        np.column_stack((rows["first"], rows["first"] + rows["rows"])),
-        np.column_stack((rows["t_swing_ns"], contact)),
-        out.t_ns[:end],
-        out.position[:end],
-        out.quaternion[:end],
-        np.column_stack((forward, cross(up.tolist(), forward.tolist()), up)),
-    )
-
-
-def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
-    """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 5)."""
-    return [_result(foot, row, shapes[k]) for k, row in enumerate(rows.tolist())]
-
-
-def columns_of_rows(foot: str, rows: Rows) -> dict[str, np.ndarray[Any, Any]]:
-    """The numbers of :func:`stride_results` as columns (K,), see ``schema.result_columns``, without an object each."""
-    valid = rows["outcome"] == integration.SOLVED
-    columns: dict[str, Any] = {name: rows[name].copy() for name in _NAMES if name not in _HIDDEN}
-    for name in _UNKNOWN:
-        columns[name][~valid] = math.nan
-    reasons = np.full(len(rows), "", object)
-    for k in np.flatnonzero(~valid | (rows["residual_rate_radps"] > REST_RADPS)).tolist():
-        reasons[k] = _reason(dict(zip(_NAMES, rows[k].tolist(), strict=True)))
-    return columns | {"foot": np.full(len(rows), foot, object), "valid": valid, "reason": reasons}
-
-
-def _result(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
+def result_of(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
     """Result of one stride from its row and shape (``TRAJECTORY_POINTS``, 5), whose tilt is of the left side up."""
-    columns: dict[str, Any] = dict(zip(_NAMES, row, strict=True))
+    columns: dict[str, Any] = dict(zip(NAMES, row, strict=True))
     valid, reason = columns["outcome"] == integration.SOLVED, ""
     if not valid or columns["residual_rate_radps"] > REST_RADPS:
-        reason = _reason(columns)
+        reason = reason_of(columns)
     left_over = tuple([columns[name] for name in _LEFT])
     columns["left_over"] = left_over if any(left_over) else ()
-    for name in _HIDDEN:
+    for name in HIDDEN:
         del columns[name]
     if not valid:
-        columns |= _UNKNOWN
+        columns |= UNKNOWN
         shape = shape[:0]
     for name in _ENTRIES:
         if columns[name] == UNSEEN_NS:
@@ -167,7 +125,7 @@ def _result(foot: str, row: tuple[Any, ...], shape: FloatArray) -> StrideResult:
     )
 
 
-def _reason(row: Mapping[str, Any]) -> str:
+def reason_of(row: Mapping[str, Any]) -> str:
     """Why a stride is not valid, or not as good as others."""
     rate_radps = row["residual_rate_radps"]
     return {

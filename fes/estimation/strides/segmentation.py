@@ -19,10 +19,10 @@ from fes.estimation.strides.boundaries import (
     REST_RADPS,
     UNSEEN_NS,
     around_ends,
+    index_at,
     mean_and_variance,
     quietest_of,
-    rows_before,
-    time_of,
+    stride_time_ns,
 )
 from fes.estimation.strides.integration import (
     BACKWARD,
@@ -64,7 +64,7 @@ _SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_P
 _AROUND_NS, _LANDED_NS = int(AROUND_S * NS_PER_S), int(LANDED_S * NS_PER_S)
 _STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
 _SHORTEST_S, _LONGEST_S = DURATION_S
-_time_of = jit_ieee(time_of)
+_stride_time_ns = jit_ieee(stride_time_ns)
 
 STATE = np.dtype(
     [
@@ -220,7 +220,7 @@ def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, stride_s: float, 
     if contact_ns != UNSEEN_NS:
         earliest = max(min(earliest, contact_ns + _LANDED_NS), contact_ns)
     last = quietest_of(t_ns, gyr, n, bx, by, bz, earliest, latest)
-    first = rows_before(t_ns, n, start_ns)
+    first = index_at(t_ns, 0, n, start_ns)
     if now - start_ns <= _stop_ns(stride_s) and first < last:
         around = around_ends(t_ns, first, last)
         x, y, z, _, _, _ = mean_and_variance(gyr, max(last - around, 0), min(last + around + 1, n))
@@ -299,7 +299,7 @@ def solve_rows(
             out.t_ns[at : at + count], quaternion, position, fx, fy, fz, ux, uy, uz, settings.toe_out_rad, out.shapes[k]
         )
     row.stride_length_sd_m, row.free_rise_m = numbers[LENGTH_SD], numbers[FREE_RISE]
-    row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
+    row.speed_mps = row.stride_length_m * NS_PER_S / _stride_time_ns(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
     if settings.known:
         _toe_and_heel(settings, row, out.t_ns[at : at + count], position, quaternion)

@@ -12,23 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fes.estimation.numerics.filters import largest_in_blocks, rows_of_at_least
-from fes.estimation.numerics.ranks import median
+from fes.estimation.numerics.filters import runs
+from fes.estimation.numerics.jit import jit_fused
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.tracking.tracker import LARGEST_VALUE, RESTART_GAP_NS
 from fes.estimation.zupt.decimation import Intervals, ZuptSettings, gather_intervals
 from fes.estimation.zupt.detectors import Detector
-from fes.estimation.zupt.filter import filter_intervals, new_tape
-from fes.estimation.zupt.smoother import smooth_intervals
+from fes.estimation.zupt.filter import filter_intervals, new_tape, smooth_intervals
 from fes.estimation.zupt.thresholds import (
     START_S,
     ZeroVelocityThresholds,
     find_zero_velocity,
     first_stance,
-    mean_in_stance,
     stance_instants,
     with_missed_stances,
 )
-from fes.estimation.zupt.trajectory import positions_at, turn_path
 from fes.signals import BoolArray, FloatArray, IntArray
 
 STRETCH_S = 300.0
@@ -151,9 +149,7 @@ class FootSamples:
         begin += first_stance(self.zero_velocity[begin:end], self.rate_hz)
         span, last = slice(begin, end), self._stretches[-1] if self._stretches else None
         acc, zero_velocity, (acc_sd, gyr_sd) = self.acc_mps2[span], self.zero_velocity[span], self.noise
-        up = np.empty(3)
-        if not mean_in_stance(acc, zero_velocity, up):
-            up = acc.mean(axis=0)
+        up = acc[zero_velocity].mean(axis=0) if zero_velocity.any() else acc.mean(axis=0)
         intervals = gather_intervals(
             self.t_ns[span], acc, self.gyr_radps[span], acc_sd[span], gyr_sd[span], zero_velocity,
             self.thresholds.gyr_bias_radps, per_sample=self.per_sample,
@@ -187,48 +183,35 @@ def foot_samples(
     """
     t_ns = np.ascontiguousarray(t_ns, dtype=np.int64)
     acc, gyr = np.ascontiguousarray(acc_mps2, dtype=np.float64), np.ascontiguousarray(gyr_radps, dtype=np.float64)
-    largest, given = [largest_in_blocks(x) for x in (acc, gyr)], len(t_ns)
-    if not all((x < LARGEST_VALUE).all() for x in largest):
-        usable = (np.abs(acc) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr) < LARGEST_VALUE).all(axis=1)
-        t_ns, acc, gyr = t_ns[usable], acc[usable], gyr[usable]
-    intervals_ns = t_ns[1:] - t_ns[:-1]
-    if intervals_ns.min(initial=1) <= 0:
-        newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])
-        t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
-        intervals_ns = t_ns[1:] - t_ns[:-1]
+    usable = (np.abs(acc) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr) < LARGEST_VALUE).all(axis=1)
+    t_ns, acc, gyr = t_ns[usable], acc[usable], gyr[usable]
+    newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])[: len(t_ns)]
+    t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
-    if len(t_ns) < given:
-        largest = [largest_in_blocks(x) for x in (acc, gyr)]
-    rate_hz = 1e9 / median(intervals_ns)
+    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
     thresholds, detected, energy = find_zero_velocity(acc, gyr, rate_hz, detector)
     zero_velocity = with_missed_stances(detected, gyr, rate_hz, energy)
     if not zero_velocity.any():
         raise ValueError("the foot never rests, so nothing holds a path; check the units")
-    acc_sd = clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0], largest[0])
-    gyr_sd = clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1], largest[1])
+    acc_sd = clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0])
+    gyr_sd = clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1])
     return FootSamples(t_ns, acc, gyr, rate_hz, thresholds, zero_velocity, energy, (acc_sd, gyr_sd), per_sample)
 
 
-def clipped_sd(
-    values: FloatArray, full_scale: float | None, least: float, share: float, largest: FloatArray | None = None
-) -> FloatArray:
+def clipped_sd(values: FloatArray, full_scale: float | None, least: float, share: float) -> FloatArray:
     """Extra standard deviation (N,) of samples (N, 3) at their full scale, in their unit; 0 of all others.
 
     An unknown full scale is the greatest value, if several samples stop there (within 0.1 %) and it is above ``least``.
-    ``largest``: ``fes.estimation.numerics.filters.largest_in_blocks`` of them, where already found.
     """
-    sd = np.zeros(len(values))
-    if largest is None:
-        largest = largest_in_blocks(values)
-    top = float(largest.max(initial=0.0))
-    rows, size = rows_of_at_least(CLIPPED_SHARE * (top if full_scale is None else full_scale), values, largest)
+    x, y, z = np.abs(values).T
+    size = np.maximum(np.maximum(x, y), z)
     if full_scale is None:
+        top = float(size.max(initial=0.0))
         if top < least or np.count_nonzero(size > 0.999 * top) < 3:
-            return sd
+            return np.zeros(len(values))
         full_scale = top
-    sd[rows[size >= CLIPPED_SHARE * full_scale]] = share * full_scale
-    return sd
+    return np.where(size >= CLIPPED_SHARE * full_scale, share * full_scale, 0.0)
 
 
 def _cuts(t_ns: IntArray, zero_velocity: BoolArray, rate_hz: float) -> list[int]:
@@ -236,11 +219,7 @@ def _cuts(t_ns: IntArray, zero_velocity: BoolArray, rate_hz: float) -> list[int]
     total_s = 1e-9 * float(t_ns[-1] - t_ns[0])
     if total_s <= STRETCH_S + SEARCH_S:
         return []
-    changes = np.flatnonzero(zero_velocity[1:] != zero_velocity[:-1]) + 1
-    edges = np.concatenate(
-        (np.flatnonzero(zero_velocity[:1]), changes, np.flatnonzero(zero_velocity[-1:]) + len(zero_velocity))
-    )
-    begins, ends = edges[0::2], edges[1::2]
+    begins, ends = runs(zero_velocity).T
     seconds = 1e-9 * (t_ns[begins] - t_ns[0])
     cuts, last_s = list[int](), 0.0
     while total_s - last_s > STRETCH_S + SEARCH_S:
@@ -266,3 +245,38 @@ def _join(before: Trajectory, own: Trajectory, shared: int) -> None:
     turn_path(own.position_m, own.velocity_mps, own.q_world_from_sensor, turn, shift)
     for rows, first in zip(own[1:], before[1:], strict=True):
         rows[:shared] = first[len(first) - shared :]
+
+
+@jit_fused
+def positions_at(known_ns: Vec, position: Mat, velocity: Mat, asked_ns: Vec, out: Vec) -> None:
+    """Fill ``out`` (M, 3) with the place at instants (M,), best in order: cubic between K places and velocities.
+
+    Before the first and after the last the path stands still.
+    """
+    k, last = 0, known_ns.shape[0] - 1
+    for i in range(asked_ns.shape[0]):
+        while k > 0 and known_ns[k] >= asked_ns[i]:
+            k -= 1
+        while k < last - 1 and known_ns[k + 1] < asked_ns[i]:
+            k += 1
+        span_s = 1e-9 * (known_ns[k + 1] - known_ns[k])
+        u = min(max(1e-9 * (asked_ns[i] - known_ns[k]) / span_s, 0.0), 1.0)
+        share, begin, end = u * u * (3.0 - 2.0 * u), u * (1.0 - u) * (1.0 - u) * span_s, u * u * (1.0 - u) * span_s
+        for j in range(3):
+            step = position[k + 1, j] - position[k, j]
+            out[i, j] = position[k, j] + share * step + begin * velocity[k, j] - end * velocity[k + 1, j]
+
+
+@jit_fused
+def turn_path(position: Mat, velocity: Mat, quaternions: Mat, turn: float, shift: Vec) -> None:
+    """Turn K places, velocities, orientations about the vertical by ``turn`` (rad), then shift the places by (3,)."""
+    c, s, w, z = math.cos(turn), math.sin(turn), math.cos(0.5 * turn), math.sin(0.5 * turn)
+    for i in range(position.shape[0]):
+        x, y = position[i, 0], position[i, 1]
+        position[i, 0], position[i, 1] = c * x - s * y + shift[0], s * x + c * y + shift[1]
+        position[i, 2] += shift[2]
+        x, y = velocity[i, 0], velocity[i, 1]
+        velocity[i, 0], velocity[i, 1] = c * x - s * y, s * x + c * y
+        q0, q1, q2, q3 = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
+        quaternions[i, 0], quaternions[i, 1] = w * q0 - z * q3, w * q1 - z * q2
+        quaternions[i, 2], quaternions[i, 3] = w * q2 + z * q1, w * q3 + z * q0

@@ -17,20 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.numerics.filters import likeness_of_lengths
-from fes.estimation.numerics.jit import jit, jit_fused
-from fes.estimation.numerics.ranks import median, percentile
-from fes.estimation.numerics.records import Vec
+from fes.estimation.numerics.filters import runs
 from fes.estimation.zupt.detectors import (
     ACC_TOLERANCE_MPS2,
-    NOTHING,
     RATE_TOLERANCE_RADPS,
     WINDOW_S,
     Detector,
     rate_energy,
     statistic,
-    stillest,
     window_samples,
+    window_variances,
 )
 from fes.signals import G_MPS2, BoolArray, FloatArray, IntArray, Vector3
 
@@ -45,7 +41,9 @@ def first_stance(zero_velocity: BoolArray, rate_hz: float) -> int:
 
     Never with the last sample: nothing would follow.
     """
-    return int(first_lasting(zero_velocity[:-1], round(START_S * rate_hz) + 1))
+    rests, count = runs(zero_velocity[:-1]), round(START_S * rate_hz) + 1
+    long = rests[np.diff(rests)[:, 0] >= count, 0]
+    return int(long[0]) + count - 1 if len(long) else 0
 
 
 def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
@@ -55,10 +53,14 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if shortest < 1 or count < 2 * longest:
         return 0.0
-    lags, alike = np.arange(shortest - 1, longest + 2), np.empty(longest + 3 - shortest)
-    whole = likeness_of_lengths(np.ascontiguousarray(gyr_radps), step, shortest - 1, alike)
+    size = np.sqrt(np.vecdot(gyr_radps, gyr_radps))[: count * step].reshape(count, step).mean(axis=1)
+    size -= size[0]  # so that of lengths that are all the same nothing is left, not even rounding
+    size -= size.mean()
+    whole = float(size @ size)
     if whole == 0.0:
         return 0.0
+    lags = np.arange(shortest - 1, longest + 2)
+    alike = np.array([size[lag:] @ size[: count - lag] for lag in lags.tolist()])
     alike /= whole * (1.0 - lags / count)
     inner = alike[1:-1]
     top = (inner >= alike[:-2]) & (inner >= alike[2:])
@@ -79,10 +81,14 @@ def with_missed_stances(
     """
     out = zero_velocity.copy()
     longest = 1.1 * stride_time_s(gyr_radps, rate_hz) * rate_hz
-    if longest == 0.0:
-        return out
     half, margin = max(round(0.01 * rate_hz), 1), round(0.32 * longest)
-    mark_missed_stances(out, energy, longest, half, margin)
+    movements = runs(~zero_velocity).tolist() if longest else []
+    while movements:
+        begin, end = movements.pop()
+        if end - begin > longest:
+            quiet = begin + margin + int(np.argmin(energy[begin + margin : end - margin]))
+            out[quiet - half : quiet + half + 1] = True
+            movements += [(begin, quiet - half), (quiet + half + 1, end)]  # either half may be too long still
     return out
 
 
@@ -92,83 +98,10 @@ def stance_instants(zero_velocity: BoolArray, energy: FloatArray, rate_hz: float
     ``zero_velocity`` (N,), ``energy`` (N,) of the rate over 0.05 s, which is least at that instant. Stances less than
     ``SHORTEST_MOVE_S`` apart count as one.
     """
-    out = np.empty(len(zero_velocity) // 2 + 1, np.int64)
-    return out[: quietest_instants(zero_velocity, energy, SHORTEST_MOVE_S * rate_hz, out)].copy()
-
-
-@jit
-def _argmin(x: Vec, begin: int, end: int) -> int:
-    """The first least of ``x[begin:end]``."""
-    at, least = begin, x[begin]
-    for i in range(begin + 1, end):
-        if x[i] < least:
-            at, least = i, x[i]
-    return at
-
-
-@jit
-def first_lasting(zero_velocity: Vec, count: int) -> int:
-    """The first sample with which ``zero_velocity`` (N,) has lasted for ``count`` samples, 0 if there is none."""
-    lasted = 0
-    for i in range(zero_velocity.shape[0]):
-        lasted = lasted + 1 if zero_velocity[i] else 0
-        if lasted == count:
-            return i
-    return 0
-
-
-@jit
-def quietest_instants(zero_velocity: Vec, energy: Vec, apart: float, out: Vec) -> int:
-    """Fill ``out`` with where the ``energy`` (N,) is least in each stance; any closer than ``apart`` samples are one.
-
-    How many there are: at most half of the samples and one.
-    """
-    count, begin, end = 0, -1, -1
-    for i in range(zero_velocity.shape[0]):
-        if not zero_velocity[i]:
-            continue
-        if begin < 0:
-            begin = i
-        elif i > end and i - end >= apart:
-            out[count] = _argmin(energy, begin, end)
-            count, begin = count + 1, i
-        end = i + 1
-    if begin >= 0:
-        out[count] = _argmin(energy, begin, end)
-        count += 1
-    return count
-
-
-@jit
-def mark_missed_stances(zero_velocity: Vec, energy: Vec, longest: float, half: int, margin: int) -> None:
-    """Mark ``half`` samples around the least ``energy`` of every movement of more than ``longest`` as zero velocity.
-
-    Then the same of its two halves. It is sought ``margin`` samples away from a movement's ends, more than ``half``.
-    """
-    n, begin, end = zero_velocity.shape[0], 0, 0
-    while end <= n:
-        if end < n and not zero_velocity[end]:
-            end += 1
-        elif end - begin > longest:
-            quiet = _argmin(energy, begin + margin, end - margin)
-            for i in range(quiet - half, min(quiet + half + 1, n)):
-                zero_velocity[i] = True
-            end = quiet - half  # its first half may be too long still
-        else:
-            begin, end = end + 1, end + 1
-
-
-@jit_fused
-def mean_in_stance(x: Vec, zero_velocity: Vec, out: Vec) -> bool:
-    """Fill ``out`` (3,) with the mean of ``x`` (N, 3) at ``zero_velocity`` (N,); False, and 0, if there is none."""
-    count, a, b, c = 0, 0.0, 0.0, 0.0
-    for i in range(zero_velocity.shape[0]):
-        if zero_velocity[i]:
-            count += 1
-            a, b, c = a + x[i, 0], b + x[i, 1], c + x[i, 2]
-    per = 1.0 / max(count, 1)
-    out[0], out[1], out[2] = a * per, b * per, c * per
-    return count > 0
+    begins, ends = runs(zero_velocity).T
+    apart = begins[1:] - ends[:-1] >= SHORTEST_MOVE_S * rate_hz
+    stances = zip(begins[np.append(True, apart)[: len(begins)]], ends[np.append(apart, True)[: len(ends)]], strict=True)
+    return np.array([begin + int(np.argmin(energy[begin:end])) for begin, end in stances], np.int64)
 
 
 STANDING_S = 1.0
@@ -225,16 +158,15 @@ def find_zero_velocity(
         raise ValueError(f"{len(acc) / rate_hz:.1f} s is too short to tell rest from movement: record at least 2 s")
     begin, standing = _stillest(acc, gyr, n)
     standing, tolerance = standing and use_standing, _TOLERANCE[detector]
+    energy = rate_energy(gyr, rate_hz)
     if standing:
         gravity = float(np.linalg.norm(acc[begin : begin + n].mean(axis=0)))
         x, y, z = gyr[begin : begin + n].mean(axis=0).tolist()
-        bias, energy = (x, y, z), np.empty(len(acc)) if detector is Detector.SHOE else NOTHING
+        bias = x, y, z
     else:
-        energy = rate_energy(gyr, rate_hz)
-        quiet = acc.take(np.flatnonzero(energy <= percentile(energy, 15.0)), axis=0)
-        gravity, bias = median(np.sqrt(np.vecdot(quiet, quiet))), (0.0, 0.0, 0.0)
-    filled = energy if standing else NOTHING
-    values = statistic(detector, acc, gyr, rate_hz, gravity_mps2=gravity, gyr_bias_radps=bias, energy=filled)
+        quiet = acc[energy <= np.percentile(energy, 15.0)]
+        gravity, bias = float(np.median(np.sqrt(np.vecdot(quiet, quiet)))), (0.0, 0.0, 0.0)
+    values = statistic(detector, acc, gyr, rate_hz, gravity_mps2=gravity, gyr_bias_radps=bias)
     if standing:
         samples = 1 if detector is Detector.GYR else window_samples(WINDOW_S, rate_hz)
         noise = float(values[begin : begin + n].mean())
@@ -245,13 +177,16 @@ def find_zero_velocity(
     if causal:
         values = statistic(detector, acc, gyr, rate_hz, causal=True, gravity_mps2=gravity, gyr_bias_radps=bias)
     thresholds = ZeroVelocityThresholds(detector, threshold, gravity, bias, standing)
-    return thresholds, np.asarray(values < threshold), energy if len(energy) else rate_energy(gyr, rate_hz)
+    return thresholds, np.asarray(values < threshold), energy
 
 
 def _stillest(acc: FloatArray, gyr: FloatArray, n: int) -> tuple[int, bool]:
     """First sample of the stillest second, and whether it is standing."""
-    begin, turning, shaking = stillest(acc, gyr, n, max(n // 8, 1), STANDING_ACC_MPS2, STANDING_RATE_RADPS)
-    if turning >= STANDING_RATE_RADPS or shaking >= STANDING_ACC_MPS2:
+    step = max(n // 8, 1)
+    turning, shaking = (np.sqrt(window_variances(np.ascontiguousarray(x), n, step).sum(axis=1)) for x in (gyr, acc))
+    at = int(np.argmin(turning / STANDING_RATE_RADPS + shaking / STANDING_ACC_MPS2))
+    begin = step * at
+    if turning[at] >= STANDING_RATE_RADPS or shaking[at] >= STANDING_ACC_MPS2:
         return begin, False
     force, rate = acc[begin : begin + n], gyr[begin : begin + n]
     level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
@@ -278,12 +213,10 @@ def split_threshold(values: FloatArray, start: float, rate_hz: float) -> float:
         start: the tolerance, from which it is sought, and what is returned where there is nothing to learn from.
         rate_hz: nominal sampling rate; what is still for ``LONG_STILL_S`` is left out.
     """
-    still = np.concatenate(([False], values < start, [False]))
-    edges = np.flatnonzero(still[1:] != still[:-1])
-    begins, ends = edges[0::2], edges[1::2]
-    long = ends - begins >= LONG_STILL_S * rate_hz
+    stills = runs(values < start)
+    long = stills[np.diff(stills)[:, 0] >= LONG_STILL_S * rate_hz]
     parts, after = list[FloatArray](), 0
-    for begin, end in zip(begins[long].tolist(), ends[long].tolist(), strict=True):
+    for begin, end in long.tolist():
         parts.append(values[after:begin])
         after = end
     rising = np.concatenate((*parts, values[after:]))
