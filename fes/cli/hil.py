@@ -98,7 +98,7 @@ def command(
         return
     if listing:
         for scenario in SCENARIOS:
-            deadline = "" if scenario.deadline_ms is None else f", within {scenario.deadline_ms:g} ms"
+            deadline = "" if scenario.deadline_ms is None else f" (off within {scenario.deadline_ms:g} ms)"
             marked = " [--hardware]" if on_hardware(scenario) else ""
             click.echo(f"{scenario.name:<22} {scenario.fault}: {scenario.response}{deadline}{marked}")
         return

@@ -194,7 +194,7 @@ def command(
         raise Problem(WANTS_LINUX.format("simulate --live"))
     if live and (idle := sorted(on_line & {"stimulate", "session", "overwrite", "as_json"})):
         named = "json" if idle[0] == "as_json" else idle[0]
-        raise Problem(f"--{named} has no meaning with --live: the session file is written, and `fes run` stimulates.")
+        raise Problem(f"--{named} has no meaning with --live, which writes a session for `fes run` into a new folder.")
     if not live and (idle := sorted(on_line & {"stimulator", "sensors"})):
         raise Problem(f"--{idle[0]} goes with --live.")
     if "session" in on_line and options.stimulate == "none":

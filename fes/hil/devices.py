@@ -341,8 +341,8 @@ def _stimulator(
         back, front = free_bus(transport), free_bus(transport)
     if why := why_silent(back):
         raise Unavailable(
-            f"{back.interface} {back.channel}: {why}. Other transports need no such thing: --transport loopback, slcan "
-            f"or serial"
+            f"{back.interface} {back.channel}: {why.rstrip('.')}. Other transports need no such thing: --transport "
+            f"loopback, slcan or serial"
         )
     if front is not back:
         link = spawn_link(back, slcan=adapter) if transport == "slcan" else spawn_link(back, front=front)

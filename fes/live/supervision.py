@@ -119,6 +119,7 @@ def unpacked(data: bytes) -> Datagram:
 MODULE: Final = "fes.cli.run.supervisor"
 ANSWER_NS: Final = 30_000_000  # less than the 40 ms for which the loop may be away
 OPEN_NS: Final = 60_000_000_000  # eight identifiers tried on the slowest device
+TOO_BUSY: Final = "this computer is too busy: end other programs, then start again"
 POLL_NS: Final = 5_000_000  # of the events' time, between two looks at what the stimulator says
 HELD_NS: Final = 1_000_000  # what was observed longer ago goes at once, so that no command waits for its observing
 GATHERED_NS: Final = 10_000_000  # while the line is lost, and nothing is asked
@@ -248,7 +249,10 @@ class SupervisedLine:
             try:
                 data = self._link.recv(MOST_BYTES + 1)
             except BlockingIOError:
-                raise self._lost(f"the supervisor does not answer within {ANSWER_NS // 1_000_000} ms") from None
+                late = f"does not answer within {ANSWER_NS // 1_000_000} ms"
+                if what is What.OPEN:
+                    late = f"is not ready within {OPEN_NS // 1_000_000_000} s; {TOO_BUSY}"
+                raise self._lost(f"the supervisor {late}") from None
             except OSError:  # it has ended with a datagram of ours unread
                 data = b""
             if not data:

@@ -281,6 +281,11 @@ def _check_finite(
     if rows.size:
         row = int(rows[0])
         column = int(np.argmax(bad[row]))
+        if bad[:, column].all():
+            raise RecordingError(
+                f"{table.path}: column {names[column]!r} holds no measurement in any row. Leave its sensor out of the "
+                f"sidecar, or record again."
+            )
         raise RecordingError(
             f"{table.path}: {table.place(row)}, column {names[column]!r}: {data[row, column]} is no measurement "
             f"({int(bad.sum())} such values in {rows.size} rows). Where a sample is lost, leave all six cells empty."

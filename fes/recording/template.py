@@ -219,7 +219,9 @@ def _clock(path: Path, layout: Layout, name: str) -> _Clock | None:
         return None
     lengths = np.diff(np.flatnonzero(np.concatenate(([True], steps != 0))))
     packet = int(np.median(lengths)) if lengths.size and (steps >= 0).all() else 1
-    return _Clock(name, readings, float(np.median(steps[steps > 0])) / packet, turn, packet)
+    usual = np.median(steps[steps > 0])
+    step = steps[np.abs(steps - usual) < 0.5 * usual].mean()  # stamps may be rounded: 8, 8, 7 ms at 128 Hz
+    return _Clock(name, readings, float(step if packet == 1 else usual / packet), turn, packet)
 
 
 def _time_lines(path: Path, layout: Layout, names: list[str]) -> list[str]:

@@ -61,21 +61,25 @@ def stride_table(summary: SessionSummary) -> Table:
     """A row per stride and channel, at most 100 columns wide."""
     rows = summary.strides
     notes = list(dict.fromkeys(text for row in rows for text in _notes(row)))
+    stimulated = any(row.stimulation for row in rows)
+    seen = "off-line" if any(row.live for row in rows) else "as the phase machine saw it live"
     legend = [
-        "len.: stride length; clr.: greatest height of the sensor",
-        f"pre to stance: time, {'off-line' if any(row.live for row in rows) else 'as the phase machine saw it live'}",
-        "path: 4 = all four phases, T6 = no loading response, +T5 = heel put back",
-        "onset: after pre-swing began; dose: charge of one phase of all pulses",
+        "len.: stride length; lift: greatest height of the sensor",
+        f"pre to flat: how long the foot was in pre-swing, swing, loading response and flat on the ground, {seen}",
+        "path: 4 = all four phases, T6 = no loading response, +T5 = heel put down again before foot off",
+        *(["onset: after pre-swing began; dose: charge of one phase of all pulses"] if stimulated else []),
         *(f"note {index}: {text}" for index, text in enumerate(notes, 1)),
     ]
-    measures = ("start\ns", "len.\nm", "clr.\ncm", "pre\nms", "swing\nms", "load\nms", "stance\nms")
+    measures = ("start\ns", "len.\nm", "lift\ncm", "pre\nms", "swing\nms", "load\nms", "flat\nms")
     table = small_table("Strides", escape("\n".join(legend)), ["\nfoot", "\nno."], measures)
     add_columns(table, "\npath")
-    add_columns(table, "\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC", right=True)
+    if stimulated:
+        add_columns(table, "\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC", right=True)
     if notes:
         add_columns(table, "\nnote")
     for row in rows:
-        _add(table, row, " ".join(str(notes.index(text) + 1) for text in _notes(row)))
+        note = [" ".join(str(notes.index(text) + 1) for text in _notes(row))] if notes else []
+        _add(table, row, note, stimulated)
     return table
 
 
@@ -84,7 +88,7 @@ def _notes(row: StrideRow) -> tuple[str, ...]:
     return (*left_out, *(f"gate: {reason}" for reason in row.refused))
 
 
-def _add(table: Table, row: StrideRow, note: str) -> None:
+def _add(table: Table, row: StrideRow, note: list[str], stimulated: bool) -> None:
     gait = [
         SIDES.get(row.foot, escape(row.foot)),
         str(row.number),
@@ -100,11 +104,11 @@ def _add(table: Table, row: StrideRow, note: str) -> None:
             *(number(i.peak_current_ma, 1), number(i.charge_uc, 0)),
         ]
         for i in row.stimulation
-    ] or [["–"] * 5]
+    ] or [["–"] * 5 * stimulated]
     for at, cells in enumerate(stimulation):
         first = at == 0
         style = "" if row.valid else "dim"
-        notes = ([note] if first else [""]) if len(table.columns) > len(gait) + len(cells) else []
+        notes = note if first else [""] * len(note)
         table.add_row(*(gait if first else [""] * len(gait)), *cells, *notes, style=style)
 
 
@@ -199,8 +203,14 @@ def parameter_table(parameters: GaitParameters) -> Table:
     from fes.analysis.parameters.definitions import DEFINITIONS
     from fes.report.parameter_table import parameter_rows
 
-    table = Table(title="Gait parameters", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
-    add_columns(table, "parameter")
+    steady = ", ".join(
+        f"{strides['steady'].sum()} of {len(strides)} {foot.removesuffix('_foot')}"
+        for foot, strides in parameters.strides.items()
+    )
+    legend = [f"over the steady strides: {steady}", "stride length: both feet made to go equally far"]
+    if not parameters.no_step_lengths:
+        legend.append("step length: sums up the errors of all strides before, good for a rough asymmetry and no more")
+    table = small_table("Gait parameters", "\n".join(legend), ["parameter"], padding=(0, 1))
     for foot in parameters.feet:
         add_columns(table, f"{foot.removesuffix('_foot')}, mean ± SD", "CV %", right=True)
     if parameters.sides:

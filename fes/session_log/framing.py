@@ -107,7 +107,8 @@ def framed(kind: int, payload: bytes | bytearray) -> bytes:
 
 def unreadable(path: Path, error: OSError) -> SessionLogError:
     """Why a file cannot be read at all."""
-    return SessionLogError(f"{path}: cannot be read: {error.strerror or error}. Name an existing session log.")
+    name = "Name the session.feslog in it." if isinstance(error, IsADirectoryError) else "Name an existing session log."
+    return SessionLogError(f"{path}: cannot be read: {error.strerror or error}. {name}")
 
 
 def wrong_start(path: Path, start: bytes) -> SessionLogError:

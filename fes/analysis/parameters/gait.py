@@ -112,8 +112,9 @@ def motion_of(strides: Table, paths: FootPaths, pitch_rad: FloatArray, swings: S
 
 NAN = math.nan
 
-NO_SIDES = ("height_gained_m", "turn_rad")  # small differences from zero: no symmetry to speak of
-NO_CV = (*NO_SIDES, "angle_contact_rad", "angle_off_rad")  # may be about zero, which a spread cannot be a share of
+ABOUT_ZERO = ("height_gained_m", "turn_rad")  # small differences: no symmetry to speak of
+NO_SIDES = (*ABOUT_ZERO, "stride_length_common_m")  # whose sides were made equal
+NO_CV = (*ABOUT_ZERO, "angle_contact_rad", "angle_off_rad")  # may be about zero, which a spread cannot be a share of
 
 
 @dataclass(frozen=True, slots=True)

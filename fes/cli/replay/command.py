@@ -299,8 +299,8 @@ def refuse_settings_of_a_recording(*allowed: str) -> None:
     for option in click.get_current_context().command.params:
         if option.name in useless:
             raise Problem(
-                f"{option.opts[0]} has no meaning for a session log, which is replayed with the settings it holds. "
-                f"Replay its recording instead, or leave the option out."
+                f"{option.opts[0]} has no meaning for a session log: it is replayed with the settings it holds, and "
+                f"nothing is written. Leave the option out, or replay its recording instead."
             )
 
 
