@@ -300,7 +300,7 @@ def _show(
     bouts: list[Bout],
 ) -> bool:
     """Print, and write the report; whether a finding is a warning or an alert."""
-    from fes.report.findings import findings
+    from fes.report.findings import findings, session_json
     from fes.report.summary import summarise_session
     from fes.report.tables import stride_table, summary_block
 
@@ -315,7 +315,7 @@ def _show(
     if asked.as_json:
         print_json(
             {
-                **summary.to_json(),
+                **session_json(summary),
                 "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
                 "paths": result.path_summary(),
                 "parameters": parameters.to_json(),
@@ -418,10 +418,11 @@ def _report_chunk(result: Analysis, parameters: GaitParameters, folder: Path, nu
 
         write_report(record, folder / f"report-{number:02d}.html", paths=result.paths, gait=parameters)
     if asked.as_json:
+        from fes.report.findings import session_json
         from fes.report.summary import summarise
 
         one = {
-            **summarise(record).to_json(),
+            **session_json(summarise(record)),
             "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
             "parameters": parameters.to_json(),
         }

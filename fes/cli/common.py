@@ -428,6 +428,7 @@ def show(
         SessionLogError: the log cannot be read.
         StoppedEarly: the report cannot be written.
     """
+    from fes.report.findings import session_json
     from fes.report.summary import summarise
     from fes.report.tables import stride_table, summary_block
     from fes.session_log import read_session
@@ -442,7 +443,7 @@ def show(
             write_report(record, report)
     if as_json:
         files = {"session_log": str(log_path), "report": str(report) if report else None}
-        print_json({**summary.to_json(), **(more or {}), "files": files})
+        print_json({**session_json(summary), **(more or {}), "files": files})
         return summary.notices
     console = screen()
     console.print(stride_table(summary))

@@ -11,8 +11,8 @@ from fes.live.status import remedy
 from fes.report.quality import SensorQuality
 from fes.report.stimulation import SKIPPED, STILL, STOPPED, TuningRow
 from fes.report.strides import StrideRow, summed_up
-from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
-from fes.report.text import capitalised, count_of, in_one, readable, together, without_numbers
+from fes.report.summary import FORMAT, ChannelSummary, ExerciseSummary, SessionSummary
+from fes.report.text import capitalised, count_of, in_one, plain, readable, together, without_numbers
 from fes.stimulation.onset import ONSET
 from fes.stimulation.order import NOTED
 from fes.walk_record import Finding, Level
@@ -46,6 +46,15 @@ DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 def findings(summary: SessionSummary) -> tuple[Finding, ...]:
     """All sentences, in the order in which they matter; what several sensors say alike stands once."""
     return merged(_findings(summary))
+
+
+def session_json(summary: SessionSummary) -> dict[str, Any]:
+    """Summary, verdict and findings as plain values, NaN as null; ``format`` changes when a key changes its meaning."""
+    every = findings(summary)
+    level, words = verdict(every, only_data=is_only_data(summary))
+    numbers = {key: value for key, value in plain(summary).items() if key != "sensor_findings"}
+    judged = {"level": level, "verdict": words, "findings": plain(every)}
+    return {"format": FORMAT, **numbers, **judged}
 
 
 def merged(found: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -293,9 +302,9 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
     if seen:
         walking_s, lacking_s = (sum(getattr(foot, n) for foot in summary.feet.values()) for n in _WALKING)
         walking_s, lacking_s = round(walking_s, 1), round(lacking_s, 1)
-        added = ", both feet added up" if len(summary.feet) == 2 else ""
+        walking = "both feet's walking" if len(summary.feet) == 2 else "walking"
         unexplained = f"no stride explains {lacking_s:.1f} s of {walking_s:.1f} s of walking"
-        text += f"; {unexplained if missed_swings else f'strides explain all {walking_s:.1f} s of walking{added}'}"
+        text += f"; {unexplained if missed_swings else f'strides explain all {walking_s:.1f} s of {walking}'}"
     yield Finding("good" if four >= 0.95 * total else "warning", f"{text}.")
     unused = Counter(row.reason or "no reason given" for row in summary.strides if not row.valid)
     if unused:

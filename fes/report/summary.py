@@ -322,16 +322,6 @@ class SessionSummary:
         faults = (notice for notice in self.notices if notice.severity == "fault")
         return tuple(fault for fault in faults if not is_stop_note(fault.source, fault.text))
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values, NaN as null; ``format`` changes when a key changes its meaning."""
-        from fes.report.findings import findings, is_only_data, verdict  # which is made of this
-
-        every = findings(self)
-        level, words = verdict(every, only_data=is_only_data(self))
-        numbers = {key: value for key, value in plain(self).items() if key != "sensor_findings"}
-        judged = {"level": level, "verdict": words, "findings": plain(every)}
-        return {"format": FORMAT, **numbers, **judged}
-
 
 @dataclass(frozen=True)
 class ReportData:

@@ -20,7 +20,7 @@ from fes.estimation.strides.results import Rows, StrideMaker, StrideSettings
 from fes.estimation.zupt import foot_trajectory
 from fes.estimation.zupt.foot_trajectory import FootSamples, foot_samples
 from fes.recording import Recording, Track, read_recording
-from fes.report.findings import findings
+from fes.report.findings import findings, session_json
 from fes.report.summary import summarise
 from fes.signals import G_MPS2, FloatArray
 from fes.simulation import bundled_file
@@ -202,4 +202,4 @@ def test_strides_that_are_missing_are_told():
     texts = [finding.text for finding in findings(summary)]
     assert any(f"{told.swings} swings" in text and "3 unexplained between" in text for text in texts)
     assert any("of" in text and "swings passed all four phases" in text for text in texts)
-    assert summary.to_json()["feet"][foot]["unexplained"] == 3
+    assert session_json(summary)["feet"][foot]["unexplained"] == 3

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.live.operator import NO_STOP
-from fes.report.findings import findings, merged
+from fes.report.findings import findings, merged, session_json
 from fes.report.parameter_table import share_between
 from fes.report.stimulation import build_timeline, command_columns, phases_between
 from fes.report.strides import hand_rows
@@ -323,11 +323,11 @@ def test_settings_from_another_version_leave_channels_without_a_name():
 
 @pytest.mark.parametrize("header", [{}, {"session": None, "recording": 3}, {"recording": {"belt_speed_mps": "fast"}}])
 def test_a_poor_header_is_no_error(header):
-    assert summarise(SessionRecord(header)).to_json()["belt_speed_mps"] is None
+    assert session_json(summarise(SessionRecord(header)))["belt_speed_mps"] is None
 
 
 def test_json_keys_are_stable_and_nan_is_null():
-    value = summarise(make.walk(4)).to_json()
+    value = session_json(summarise(make.walk(4)))
     text = json.dumps(value, allow_nan=False)
     assert json.loads(text) == value
     assert set(value) - {"level", "verdict", "findings"} == {

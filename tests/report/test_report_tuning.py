@@ -12,7 +12,7 @@ from report_records import T0, S, channel, header, walk
 from rich.console import Console
 from test_one_process import run
 
-from fes.report.findings import findings
+from fes.report.findings import findings, session_json
 from fes.report.page import render_report
 from fes.report.stimulation import TuningRow, dose_rows, tuning_rows
 from fes.report.summary import summarise
@@ -111,7 +111,7 @@ def test_summary_table_and_report_show_it(ran: SessionRecord) -> None:
     shown = console.export_text()
     assert "µC a step (median; most" in shown
     assert "tuning made" in shown
-    plain = json.loads(json.dumps(summary.to_json()))
+    plain = json.loads(json.dumps(session_json(summary)))
     assert plain["dose"][0]["session_mc"] > 1.0
     assert {row["kind"] for row in plain["tuning"]} >= {"change", "skip"}
     report = render_report(ran)

@@ -18,7 +18,7 @@ from fes.control.controller import Controller
 from fes.control.replay import session_for
 from fes.estimation.foot.calibration import FootCalibration
 from fes.recording.tracks import samples_of
-from fes.report.findings import findings
+from fes.report.findings import findings, session_json
 from fes.report.summary import summarise
 from fes.signals import StrideResult
 from fes.stimulation.order import AGAIN, ALIKE, CLOSES_SD, KNOWN, KNOWN_FROM, OrderJudge
@@ -189,7 +189,7 @@ def test_a_reversed_axis_is_named_once_logged_reported_and_no_burst_begins(tmp_p
     assert not any(command.on and command.t_ns > told[0].t_ns for command in record.commands)
     summary = summarise(record)
     assert any(each.level == "warning" and "came into disorder" in each.text for each in findings(summary))
-    assert "in disorder" in json.dumps(summary.to_json())
+    assert "in disorder" in json.dumps(session_json(summary))
 
 
 # --- a sensor that changes --------------------------------------------------------------------------------------------
