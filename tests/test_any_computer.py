@@ -94,8 +94,7 @@ def test_a_walk_is_analysed(program: str, walk: Path, tmp_path: Path) -> None:
 
 
 ON_FILES = (
-    "analyse", "cohort", "evaluate", "compare", "logs", "import_", "calibrate",
-    "replay.command", "simulate", "demo", "compile_",
+    "analyse", "cohort", "compare", "logs", "recordings", "replay.command", "simulate", "demo", "compile_",
 )  # fmt: skip
 
 

@@ -24,7 +24,6 @@ from benchmarks.lib.command_line import parser_of, publish, spread, table_of, ve
 from benchmarks.lib.real_sets import data_folder
 from benchmarks.lib.walkers import calibrated
 from benchmarks.loop.predicted_onset import Walked, walks
-from drivers.imu import capture2go_codec as c2g
 from drivers.imu.capture2go_port import Capture2GoRadio
 from drivers.imu.port import ImuLost
 from drivers.simulated.imu.device import ImuSignal, Radio, SimulatedImu, even_signal
@@ -74,38 +73,37 @@ class Clock:
     t_ns: int = BEGIN_NS
 
 
-class SimulatedRadio(Capture2GoRadio):
-    """The driver over a :class:`Radio`, with the simulation's clock; waiting moves it."""
+class SimulatedConnection:
+    """A :class:`Radio` as the driver's connection, with the simulation's clock; waiting moves it."""
 
-    def __init__(self, device: ImuDevice, radio: Radio, clock: Clock) -> None:
-        self._radio, self._clock = radio, clock
-        super().__init__(device, lambda: clock.t_ns)
+    def __init__(self, radio: Radio, clock: Clock) -> None:
+        self.name, self._radio, self._clock = "radio", radio, clock
 
-    def _open(self) -> None:
-        self._decoder = c2g.NotificationDecoder(self._counts)
-        self._begin()
-
-    def _send(self, package: bytes) -> None:
+    def write(self, _: str, package: bytes) -> None:
         # a command waits for the next moment, too
         self._radio.receive(max(self._radio.next_moment_ns(), self._clock.t_ns), package)
 
-    _send_soon = _send
+    write_soon = write
 
-    def _receive(self) -> list[c2g.Package]:
-        return [package for heard in self._radio.advance(self._clock.t_ns) for package in self._decoder.feed(heard)]
+    def notifications(self) -> list[bytes]:
+        return self._radio.advance(self._clock.t_ns)
 
-    def _wait(self, seconds: float) -> None:
+    def wait(self, seconds: float) -> None:
         self._clock.t_ns = min(self._radio.next_moment_ns(), self._clock.t_ns + round(seconds * NS_PER_S))
-
-    @property
-    def _name(self) -> str:
-        return self._device.sensor
 
     def fileno(self) -> None:
         """Nothing to wait on."""
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+class SimulatedRadio(Capture2GoRadio):
+    """The driver over a simulated connection."""
+
+    def __init__(self, device: ImuDevice, radio: Radio, clock: Clock) -> None:
+        self._connected = lambda: SimulatedConnection(radio, clock)  # type: ignore[method-assign]
+        super().__init__(device, lambda: clock.t_ns)
 
 
 def by_radio(

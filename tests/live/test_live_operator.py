@@ -866,7 +866,7 @@ def test_what_the_system_refuses_is_named_with_its_cost() -> None:
     """In a process of its own: it would change this one's scheduling."""
     code = (
         "import resource, json; resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))\n"
-        "import os\n"
+        "import os, numpy\n"  # while the interpreter's own files may still be read
         "from fes.live.processes import become_real_time\n"
         "if os.geteuid() == 0: os.setgid(65534); os.setuid(65534)\n"
         "print(json.dumps([[g.name, g.refused, g.cost, g.remedy] for g in become_real_time()]))\n"
