@@ -29,7 +29,7 @@ _HINTS: Final = {
     MULTICAST: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number, and "
     "the machine needs a route for it; with no network at all use the interface loopback.",
     LOOPBACK: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number.",
-    "socketcan": "Bring the interface up first: ip link set can0 up type can bitrate 500000, or of virtual CAN modprobe "
+    "socketcan": "Bring the interface up first: ip link set can0 up type can bitrate 500000; for virtual CAN modprobe "
     "vcan; ip link add vcan0 type vcan; ip link set vcan0 up. ip -br link lists them.",
     "pcan": "Install PEAK's PCANBasic library, plug the adapter in; channels are named PCAN_USBBUS1, PCAN_USBBUS2 …",
     "kvaser": "Install Kvaser's canlib, plug the adapter in; channels are numbered from 0.",

@@ -302,9 +302,9 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
     if seen:
         walking_s, lacking_s = (sum(getattr(foot, n) for foot in summary.feet.values()) for n in _WALKING)
         walking_s, lacking_s = round(walking_s, 1), round(lacking_s, 1)
-        walking = "both feet's walking" if len(summary.feet) == 2 else "walking"
+        walking = "their walking" if len(summary.feet) == 2 else "walking"
         unexplained = f"no stride explains {lacking_s:.1f} s of {walking_s:.1f} s of walking"
-        text += f"; {unexplained if missed_swings else f'strides explain all {walking_s:.1f} s of {walking}'}"
+        text += f"; {unexplained if missed_swings else f'all {walking_s:.1f} s of {walking} explained'}"
     yield Finding("good" if four >= 0.95 * total else "warning", f"{text}.")
     unused = Counter(row.reason or "no reason given" for row in summary.strides if not row.valid)
     if unused:
