@@ -36,6 +36,7 @@ _HINTS: Final = {
     "slcan": "The channel is the adapter's serial port; its options are bitrate and tty_baudrate.",
 }
 LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."
+VIRTUAL: Final = (MULTICAST, LOOPBACK)
 _ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 TAKES_NONE: Final = "the adapter takes no frames"
 _READ_AT_MOST: Final = 4096
@@ -221,7 +222,16 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
         raise BusError(f"CAN bus {settings.interface} {settings.channel!r} {fault}. {hint}") from error
     with contextlib.suppress(NotImplementedError, OSError, ValueError):  # a vendor's library may have no descriptor
         make_room(bus.fileno())
+    if settings.interface in VIRTUAL:
+        bus.channel_info = bus_name(settings)
     return bus
+
+
+def silence_hint(bus: can.BusABC) -> str:
+    """What to look at where nothing is heard on a bus."""
+    if any(bus.channel_info.startswith(interface) for interface in VIRTUAL):
+        return "No stimulator runs on this virtual bus: fes simulate --live starts one, and writes its session."
+    return f"Is it powered and connected, is the channel right, is the bit rate the same on both sides? {LINE_HINT}"
 
 
 def read_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:

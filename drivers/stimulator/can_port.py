@@ -13,7 +13,7 @@ from typing import ClassVar, Final
 import can
 
 from drivers.stimulator import can_codec
-from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
+from drivers.stimulator.bus import read_frame, silence_hint, write_frame
 from drivers.stimulator.can_codec import Alive, Charge, Fault, Frame, Message, Result, Status, fault_text
 from drivers.stimulator.e2e import COUNTS, NUMBERS, carried, command_number
 from drivers.stimulator.port import SessionUsed, StimulatorLost
@@ -336,8 +336,8 @@ class CanStimulator:
         where = self._bus.channel_info
         if last is None:
             return (
-                f"no stimulator was heard on {where} within {timeout_s:g} s ({self.foreign} other frames were). Is it "
-                f"powered and connected, is the channel right, is the bit rate the same on both sides? {LINE_HINT}"
+                f"no stimulator was heard on {where} within {timeout_s:g} s ({self.foreign} other frames were). "
+                + silence_hint(self._bus)
             )
         if last.version != can_codec.PROTOCOL_VERSION:
             return (

@@ -26,7 +26,7 @@ import click
 
 from drivers.imu.open import ON_CAN, WITHOUT_LINE, open_imus
 from drivers.imu.port import ImuLost, ImuPort, LineCounts
-from drivers.stimulator.bus import LOOPBACK, MULTICAST, BusError, bus_name, open_bus
+from drivers.stimulator.bus import BusError, bus_name, open_bus, silence_hint
 from drivers.stimulator.can_codec import PROTOCOL_VERSION, Alive, FrameRejected, decode, fault_text
 from drivers.stimulator.open import open_stimulator
 from drivers.stimulator.port import StimulatorLost
@@ -247,10 +247,8 @@ def _heartbeat(session: Session) -> Finding:
                 if heard.faults:
                     return failure(name, f"{said}, faults: {fault_text(heard.faults)}", "check electrodes and leads")
                 return ok(name, said)
-    remedy = "switch the stimulator on; check channel, bit rate, cable and termination (120 ohm at both ends)"
-    if session.bus.interface in (MULTICAST, LOOPBACK):
-        remedy = "no stimulator runs on this virtual bus: fes simulate --live starts one, and writes its session"
-    return failure(name, f"{where}: no heartbeat within {HEARTBEAT_WAIT_S:g} s ({frames} other frames)", remedy)
+    said = f"{where}: no heartbeat within {HEARTBEAT_WAIT_S:g} s ({frames} other frames)"
+    return failure(name, said, silence_hint(bus))
 
 
 def switch_answers(name: str, settings: Switch, session: Session) -> Finding:

@@ -220,8 +220,8 @@ class WitnessInput:
     def now(self) -> list[str]:
         """What lies, and of which sensor it cannot be told yet."""
         if self._link is None:
-            return ["the witness has ended: whether a foot sensor's lag, gain or bias lies is not known"]
-        unknown = "whether its lag, gain, bias or axes lie is not known"
+            return ["the witness has ended: whether a foot's sensor can be trusted is not known"]
+        unknown = "whether this sensor can be trusted is not known yet"
         lying = [f"{sensor}: {lies}; lengths and clearance are wrong" for sensor, lies in self._lies.items() if lies]
         return lying + [f"{sensor}: {unknown} ({why})" for sensor, why in self._unknown.items() if why]
 

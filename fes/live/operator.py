@@ -320,8 +320,9 @@ class Operator:
         for sensor, monitor in self.monitors.items():
             fault = monitor.not_alive(t_ns)
             if not fault and at_rest and sensor in self.phase_sensor_of.values():
-                moves = "" if self.proof.wanted() else monitor.not_at_rest(t_ns)  # a tap is a movement
-                fault = moves or monitor.not_upright(t_ns)
+                tilted = monitor.not_upright(t_ns)
+                if tilted or not self.proof.wanted():  # a tap is a movement
+                    fault = monitor.not_at_rest(t_ns) or tilted
             reasons.append(fault)
         reasons += [
             f"{channel.name}: the {channel.foot} is not calibrated"

@@ -75,7 +75,7 @@ def _tuning(number: str, one: TuningStatus) -> Text | None:
         return None
     text = Text.assemble((f"channel {number}: ", "bold"))
     if one.mode != "off":
-        text.append(f"tuning {one.mode}, next burst {one.now}")
+        text.append(f"tuning {one.mode}, set to {one.now} at full intensity")
         text.append(f", FROZEN ({one.frozen})" if one.frozen else "", "bold yellow")
         text.append(" · ")
     text.append(f"{one.step_uc:.0f} µC a step, {one.minute_uc / 1e3:.2f} mC this minute, {one.session_uc / 1e3:.2f} mC")

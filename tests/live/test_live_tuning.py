@@ -191,7 +191,7 @@ def test_the_terminal_view_shows_it() -> None:
     )  # fmt: skip
     shown = drawn(Status(1, "running", tuning={"0": told}))
     for words in (
-        "channel 0: tuning suggest, next burst 30.0 mA, 300 µs",
+        "channel 0: tuning suggest, set to 30.0 mA, 300 µs at full intensity",
         "240 µC a step, 9.40 mC this minute, 12.30 mC",
         "toe low: current 30.0 → 32.0 mA (y accepts)",
         "last change: suggestion accepted",
@@ -305,7 +305,7 @@ def test_what_lies_is_told_once_and_shown_and_a_session_goes_on_without_a_witnes
     for lies, unknown in (("", "3 of 20 strides"), ("it is late", ""), ("it is later", "")):
         theirs.send(json.dumps({"sensor": FOOT, "lies": lies, "unknown": unknown}).encode())
     assert witness.read_events(2) == []
-    assert witness.now() == [f"{FOOT}: whether its lag, gain, bias or axes lie is not known (3 of 20 strides)"]
+    assert witness.now() == [f"{FOOT}: whether this sensor can be trusted is not known yet (3 of 20 strides)"]
     assert len(witness.read_events(3)) == 1
     assert witness.read_events(4) == []
     assert told == [f"{FOOT}: it is late"]

@@ -13,7 +13,7 @@ from page_browser import CHROMIUM, Page, chromium
 
 from fes.live.commands import State
 from fes.live.dashboard.process import DashboardProcess
-from fes.live.status import FootStatus, Status
+from fes.live.status import FootStatus, Status, TuningStatus
 from fes.session_log import Note
 from fes.signals import NS_PER_S, StimCommand, StrideResult
 from fes.walk_record import MARK
@@ -246,6 +246,32 @@ def test_names_and_messages_are_text_and_nothing_else(process: DashboardProcess,
     assert page.run("document.querySelectorAll('main img, main script, footer img').length") == 0
     assert page.run("document.title").startswith("FES")
     assert page.console == []
+
+
+def test_what_the_tuning_has_made_of_a_current_stands_beside_it(process: DashboardProcess, page: Page) -> None:
+    suggested = TuningStatus("suggest", now="22.0 mA, 287 µs", suggestion="current 22.0 → 24.0 mA")
+    shown = "document.querySelector('#tuned-0').textContent"
+    until(process, page, replace(SHOWN, tuning={"0": suggested}), f"{shown} !== ''")
+    assert page.text("#set-0").strip() == "of 22.0, by tuning"
+    assert page.text("#tuned-0") == "Tuning suggests current 22.0 → 24.0 mA. In the terminal y accepts."
+    frozen = replace(suggested, frozen="the intensity was lowered by hand")
+    until(process, page, replace(SHOWN, tuning={"0": frozen}), f"{shown}.includes('frozen')")
+    assert page.text("#tuned-0").endswith("In the terminal g goes on.")
+
+
+def test_a_question_is_read_whole_on_a_phone(process: DashboardProcess, page: Page) -> None:
+    page.size(390, 844)
+    page.run("document.getElementById('question-text').textContent = 'Arm? The patient stands. '.repeat(8)")
+    page.run("document.getElementById('question').hidden = false")
+    try:
+        for name in ("question-text", "yes", "no"):
+            left, right = page.run(
+                f"(r => [r.left, r.right])(document.getElementById('{name}').getBoundingClientRect())"
+            )
+            assert 0 <= left < right <= 390, name
+    finally:
+        page.run("document.getElementById('question').hidden = true")
+        page.size(1024, 768)
 
 
 def test_a_connection_that_comes_back_shows_nothing_twice(process: DashboardProcess, page: Page) -> None:

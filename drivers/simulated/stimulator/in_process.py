@@ -114,6 +114,7 @@ class NodeBus(can.BusABC):
 
     def shutdown(self) -> None:
         """Nothing to release; it may be opened again."""
+        super().shutdown()
 
 
 class InProcessStimulator(CanStimulator):

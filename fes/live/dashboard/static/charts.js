@@ -95,7 +95,7 @@ export class EnvelopeChart {
         height: element.clientHeight || 160,
         cursor: { show: false },
         legend: { show: false },
-        scales: { x: { time: false, range: () => [this.now - SPAN_S, this.now] }, y: { range: [0, most * 1.1] } },
+        scales: { x: { time: false, range: () => [this.now - SPAN_S, this.now] }, y: { range: (_, __, high) => [0, Math.max(most, high ?? 0) * 1.1] } },
         series: [{}, ...series],
         axes: [axis({ size: 30, values: (_, ticks) => ticks.map((t) => { const s = Math.round(t - this.now); return s ? `${s} s` : "now"; }), splits: () => [-10, -8, -6, -4, -2, 0].map((s) => this.now + s) }), axis({ size: 44 })],
         hooks: { drawClear: [(chart) => this.shade(chart)] },

@@ -200,7 +200,10 @@ function feet(status) {
     card.querySelector(".age").classList.toggle("bad", !now || now.age_ms > OLD_MS);
     for (const each of driving.get(sensor) ?? []) {
       const ma = view.sent[each.number] ?? 0;
+      const tuned = status.tuning?.[each.number] ?? { mode: "off" };
       write($(`sent-${each.number}`), `${ma.toFixed(1)} mA`);
+      write($(`set-${each.number}`), tuned.mode === "off" ? ` of ${each.current_ma.toFixed(1)}` : ` of ${parseFloat(tuned.now).toFixed(1)}, by tuning`);
+      write($(`tuned-${each.number}`), tuning(tuned));
       card.querySelector(`[data-channel="${each.number}"]`).classList.toggle("on", ma > 0);
     }
   }
@@ -209,6 +212,14 @@ function feet(status) {
   $("others").hidden = !rest.length;
   write($("others"), `Other sensors: ${rest.map((sensor) => `${foot(sensor).toLowerCase()} ${rate(worn[sensor])}`).join(" · ")}`);
   $("others").classList.toggle("bad", rest.some((sensor) => worn[sensor].age_ms > OLD_MS));
+}
+
+/** What the tuning does, and which key of the terminal answers it: the page has no button for that. */
+function tuning(tuned) {
+  if (tuned.mode === "off") return "";
+  if (tuned.frozen) return `Tuning is frozen: ${tuned.frozen}. In the terminal g goes on.`;
+  if (tuned.suggestion) return `Tuning suggests ${tuned.suggestion}. In the terminal y accepts.`;
+  return tuned.mode === "act" ? "Tuning changes the current by itself; f in the terminal freezes it." : "Tuning suggests, and changes nothing by itself.";
 }
 
 const rate = (now) => (now.age_ms > SILENT_MS ? "silent" : `${now.rate_hz.toFixed(0)} Hz`);
@@ -223,7 +234,7 @@ function footCard(sensor, channels) {
     key.classList.toggle("dashed", dash.length > 0);
     card.append(make("p", { class: "channel", "data-channel": each.number },
       make("span", { class: "named" }, key, each.name),
-      make("span", {}, make("b", { id: `sent-${each.number}` }), make("small", {}, ` of ${each.current_ma.toFixed(1)}`))));
+      make("span", {}, make("b", { id: `sent-${each.number}` }), make("small", { id: `set-${each.number}` }))), make("p", { class: "tuned", id: `tuned-${each.number}` }));
   }
   const numbers = make("dl", { class: "numbers" });
   for (const [key, label] of [["strides", "strides"], ["length", "last length"], ["speed", "speed"], ["age", "sensor"]])
