@@ -102,8 +102,11 @@ class SimulatedRadio(Capture2GoRadio):
     """The driver over a simulated connection."""
 
     def __init__(self, device: ImuDevice, radio: Radio, clock: Clock) -> None:
-        self._connected = lambda: SimulatedConnection(radio, clock)  # type: ignore[method-assign]
+        self._simulated = SimulatedConnection(radio, clock)
         super().__init__(device, lambda: clock.t_ns)
+
+    def _connected(self) -> SimulatedConnection:
+        return self._simulated
 
 
 def by_radio(
