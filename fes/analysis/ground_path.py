@@ -146,8 +146,8 @@ def _without_false_turns(t_ns: IntArray, heading: FloatArray, stance_ns: IntArra
 def _pointing_ahead(position: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A path (K, 3), (K,) turned so that x points to where it first is 2 m away (at most as far as it goes)."""
     x, y, z = position.T
-    far = np.hypot(x, y)
-    at = int(np.argmax(far >= min(AHEAD_M, 0.999 * far.max())))
+    far2 = x * x + y * y
+    at = int(np.argmax(far2 >= min(AHEAD_M**2, 0.998 * far2.max())))
     angle = math.atan2(y[at], x[at])
     c, s = math.cos(angle), math.sin(angle)
     angle += 2.0 * math.pi * math.floor((heading[0] - angle) / (2.0 * math.pi) + 0.5)
@@ -161,7 +161,8 @@ def _bent(path: GroundPath, stance_ns: IntArray, per_stride_rad: float) -> Groun
     """
     strides = _at(path.t_ns, stance_ns, np.arange(float(len(stance_ns))))
     angle, (x, y, z) = per_stride_rad * strides, path.position_m.T
-    steps = np.diff(x + 1j * y) * np.exp(0.5j * (angle[1:] + angle[:-1]))
+    mean = 0.5 * (angle[1:] + angle[:-1])
+    steps = np.diff(x + 1j * y) * (np.cos(mean) + 1j * np.sin(mean))
     place = x[0] + 1j * y[0] + np.concatenate(([0.0], np.cumsum(steps)))
     position, heading = _pointing_ahead(np.column_stack((place.real, place.imag, z)), path.heading_rad + angle)
     return replace(path, position_m=position, heading_rad=heading)
@@ -204,8 +205,9 @@ def _relative_drift(left: GroundPath, right: GroundPath) -> float:
     count = min(len(common), MOST_STANCES)
     picked = np.linspace(0, len(common) - 1, count).round()
     difference = difference[picked.astype(int)]
-    earlier, later = np.triu_indices(count, count // 4)
-    return float(np.median((difference[later] - difference[earlier]) / (picked[later] - picked[earlier])))
+    apart = range(count // 4, count)
+    slopes = [(difference[k:] - difference[:-k]) / (picked[k:] - picked[:-k]) for k in apart]
+    return float(np.median(np.concatenate(slopes)))
 
 
 # A path that is to close its loops trusts its rests less. The creep is chosen for the mean: 2 mm/s there and 8 mm/s

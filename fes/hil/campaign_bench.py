@@ -199,7 +199,7 @@ class CampaignBench:
                 self.command(command(status))
             time.sleep(2 * LOOK_S)
         status = self.status()
-        last = f"{status.state}: {status.message}" if status else self.session().printed()
+        last = f"{status.state}: {status.message}" if status and status.message else self.session().printed()
         raise CampaignBroken(f"{else_say} for {timeout_s:g} s; last: {last}")
 
     def status(self) -> Status | None:

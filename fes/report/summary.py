@@ -435,14 +435,15 @@ def _toes_given(header: Mapping[str, Any], settings: Session | None) -> set[str]
 
 
 def session_span(record: WalkRecord) -> tuple[int, int]:
-    """First and last instant that anything happened."""
+    """First and last instant that anything happened; what was noted before the loop began lies before the first."""
     times = [arrays.t_ns for arrays in record.samples.values()] + [record.ticks_ns, record.latency_t_ns]
     edges = [int(edge) for array in times if array.size for edge in (array.min(), array.max())]
-    for things in (record.phases, record.commands, record.statuses, record.notes):
+    for things in (record.phases, record.commands, record.statuses):
         edges += [thing.t_ns for thing in (*things[:1], *things[-1:])]
     for stride in (*record.strides[:1], *record.strides[-1:]):
         edges += [stride.t_start_ns, stride.t_end_ns]
-    return (min(edges), max(edges)) if edges else (0, 0)
+    noted = [note.t_ns for note in (*record.notes[:1], *record.notes[-1:])]
+    return (min(edges or noted), max(edges + noted)) if edges or noted else (0, 0)
 
 
 def _feet(record: WalkRecord, settings: Session | None, sensor_of: Mapping[str, str]) -> list[str]:

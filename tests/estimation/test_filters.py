@@ -17,6 +17,8 @@ from fes.estimation.foot.features import STATE, FootParameters
 from fes.estimation.numerics.filters import (
     PADDING,
     falls_apart,
+    greatest_at_each,
+    likeness,
     low_pass,
     moving_sums,
 )
@@ -197,3 +199,17 @@ def test_a_struct_reads_and_writes_what_numpy_would() -> None:
     assert struct_of(kind).unpack_from(data) == (7, True, 1.0, 2.0, 3.0, 4.0, False, 5.0, -1)
     assert struct_of(kind, "n", "inner", "k").unpack_from(data) == (7, False, 5.0, -1)
     assert row[0].inner.x == 5.0  # an attribute without the compiler as well
+
+
+@settings(deadline=None)
+@given(st.integers(1, 60), st.integers(0, 30), st.integers(1, 80), st.integers(0, 2**32 - 1))
+def test_likeness_is_the_correlation_with_itself(n: int, shortest: int, lags: int, seed: int) -> None:
+    x, found = np.random.default_rng(seed).normal(size=n), np.empty(lags)
+    likeness(x, min(shortest, n), found)
+    wanted = np.concatenate((np.correlate(x, x, "full")[n - 1 :], np.zeros(shortest + lags)))[min(shortest, n) :][:lags]
+    assert np.allclose(found, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_the_greatest_of_each_span_is_its_first_and_spans_end_with_the_signal() -> None:
+    x = np.array([0.0, 3.0, 1.0, 3.0, 2.0])
+    assert greatest_at_each(x, np.array([0, 2, 4]), np.array([5, 4, 9])).tolist() == [1, 3, 4]

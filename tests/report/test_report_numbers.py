@@ -210,6 +210,12 @@ def test_faults_come_from_notes_status_and_heartbeat():
     assert texts == ["latched", "channel 0: electrode (1 answers)", "restarted (boot 1 → 2)", "overheated"]
 
 
+def test_time_counts_from_where_the_loop_begins_as_on_the_live_page():
+    record = record_of(make.stride(0, 1.0))
+    record.notes = [Note(make.at(1.0) - 2_200_000_000, "info", "session", "opened")]
+    assert summarise(record).strides[0].start_s == pytest.approx(0.0)
+
+
 def act(action: OperatorAction, seconds: float, channel: float = 0.0) -> OperatorAct:
     return OperatorAct(make.at(seconds), action, channel)
 

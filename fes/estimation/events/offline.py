@@ -38,6 +38,8 @@ from fes.estimation.numerics.filters import (
     biquad_step,
     falls_apart,
     filter_backwards,
+    greatest_at,
+    greatest_at_each,
     low_pass,
     moving_sums,
     runs,
@@ -112,16 +114,6 @@ def filter_signals(
     filter_backwards(one, two, three, turning)
     moving_sums(energy, window, window - window // 2 - 1, 1.0 / window, energy)
     return not math.isnan(off)
-
-
-@jit
-def greatest_at(x: Vec, begin: int, end: int) -> int:
-    """The first greatest of ``x[begin:end]``."""
-    at, greatest = begin, x[begin]
-    for i in range(begin + 1, min(end, x.shape[0])):
-        if x[i] > greatest:
-            at, greatest = i, x[i]
-    return at
 
 
 @jit
@@ -433,7 +425,7 @@ class _Walk:
             either[k] = self._is_alone(int(peaks[k]), peaks[large])
         mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
-        offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
+        offs = greatest_at_each(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
         self._typical_jerk = float(np.median(_greatest(s.jerk, mids, mids + reach)))
         return falls[either], offs, mids
 
@@ -450,14 +442,9 @@ class _Walk:
         return int(np.diff(runs(quiet)).max(initial=0)) >= REST_S * self._rate_hz
 
 
-def _greatest_at(x: FloatArray, begins: IntArray, ends: IntArray) -> IntArray:
-    """Where the greatest of ``x`` lies in each of K spans."""
-    return np.array([greatest_at(x, begin, end) for begin, end in zip(begins, ends, strict=True)], np.int64)
-
-
 def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
     """The greatest of ``x`` in each of K spans."""
-    return np.asarray(x[_greatest_at(x, begins, ends)])
+    return np.asarray(x[greatest_at_each(x, begins, ends)])
 
 
 def _typical(falls: FloatArray) -> float:

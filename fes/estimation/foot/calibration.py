@@ -27,7 +27,7 @@ from fes.estimation.foot.movements import closures, contact_jumps, follow, peaks
 from fes.estimation.numerics.filters import falls_apart, moving_mean
 from fes.estimation.numerics.rotation import cross, without
 from fes.estimation.tracking.phase_features import usual_swing_s
-from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, window_variances
+from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, squared_lengths, window_variances
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -193,7 +193,7 @@ def calibrate_foot(
     refuse_degrees(sensor, gyr_radps)
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
     gyr = without(gyr_radps, rate_bias)
-    energy = moving_mean(_squares(gyr), window)
+    energy = moving_mean(squared_lengths(gyr), window)
     unrest, rest_force, rest_norm = _rest(energy, acc_mps2, window)
     if not 0.7 * G_MPS2 < rest_norm < 1.3 * G_MPS2:
         raise CalibrationError(
@@ -524,13 +524,7 @@ def _unit(vector: FloatArray) -> FloatArray:
 
 def _sizes(vectors: FloatArray) -> FloatArray:
     """Lengths (N,) of vectors (N, 3)."""
-    return np.asarray(np.sqrt(_squares(vectors)))
-
-
-def _squares(vectors: FloatArray) -> FloatArray:
-    """Squared lengths (N,) of vectors (N, 3)."""
-    x, y, z = vectors.T
-    return np.asarray(x * x + y * y + z * z)
+    return np.asarray(np.sqrt(squared_lengths(vectors)))
 
 
 def _acc_bias_across(

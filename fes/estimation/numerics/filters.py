@@ -96,6 +96,50 @@ def moving_sums(x: Vec, count: int, ahead: int, share: float, out: Vec) -> None:
             left[j] = left[j + 1] + block[j]
 
 
+@jit_ieee
+def likeness(x: Vec, shortest: int, out: Vec) -> None:
+    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
+
+    Lags lie side by side, several in one instruction, and four samples at a time each sum is fetched once. A library's
+    scalar product has threads, which take the processor that works on the other foot.
+    """
+    later, lags, begin = x[shortest:], out.shape[0], 0
+    for lag in range(lags):
+        out[lag] = 0.0
+    while begin + 3 + lags <= later.shape[0]:
+        a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
+        for lag in range(lags):
+            i = begin + lag
+            out[lag] = (((out[lag] + a * later[i]) + b * later[i + 1]) + c * later[i + 2]) + d * later[i + 3]
+        begin += 4
+    for i in range(begin, later.shape[0]):
+        for lag in range(min(lags, later.shape[0] - i)):
+            out[lag] += x[i] * later[i + lag]
+
+
+@jit
+def greatest_at(x: Vec, begin: int, end: int) -> int:
+    """The first greatest of ``x[begin:end]``."""
+    at, greatest = begin, x[begin]
+    for i in range(begin + 1, min(end, x.shape[0])):
+        if x[i] > greatest:
+            at, greatest = i, x[i]
+    return at
+
+
+@jit
+def _all_greatest_at(x: Vec, begins: Vec, ends: Vec, out: Vec) -> None:
+    for k in range(out.shape[0]):
+        out[k] = greatest_at(x, begins[k], ends[k])
+
+
+def greatest_at_each(x: FloatArray, begins: IntArray, ends: IntArray) -> IntArray:
+    """Where the greatest of ``x`` lies in each of K spans."""
+    out = np.empty(len(begins), np.int64)
+    _all_greatest_at(x, begins, ends, out)
+    return out
+
+
 def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray]:
     """Where ``x`` (N,) lies farthest below the greatest of its last ``n`` samples, and how far.
 

@@ -131,9 +131,9 @@ def cross(a: Sequence[float], b: Sequence[float]) -> FloatArray:
 
 def rotate_all(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Rotate one sensor vector (3,), or one each (N, 3), by quaternions (N, 4): (N, 3) in the world."""
-    axis = quaternions[:, 1:]
-    t = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + quaternions[:, :1] * t + np.cross(axis, t))
+    (w, x, y, z), (a, b, c) = quaternions.T, vectors.T
+    u, v, t = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return np.column_stack((a + w * u + y * t - z * v, b + w * v + z * u - x * t, c + w * t + x * v - y * u))
 
 
 @jit_ieee

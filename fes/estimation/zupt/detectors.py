@@ -25,7 +25,6 @@ import numpy as np
 from fes.estimation.numerics.filters import moving_sums
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import Mat
-from fes.estimation.strides.boundaries import mean_and_variance
 from fes.signals import G_MPS2, FloatArray, Vector3
 
 
@@ -80,16 +79,17 @@ def statistic(
     count = window_samples(window_s, rate_hz)
     ahead = 0 if causal else (count - 1) // 2
     at = np.arange(len(acc_mps2)) + ahead + 1
-    inside = np.minimum(at, len(at)) - np.maximum(at - count, 0)
+    per = 1.0 / (np.minimum(at, len(at)) - np.maximum(at - count, 0))
 
     def mean(x: FloatArray) -> FloatArray:
         out = np.empty(len(x))
         moving_sums(x, count, ahead, 1.0, out)
-        return np.asarray(out / inside)
+        out *= per
+        return out
 
     g = gravity_mps2
-    rate2 = _squares(gyr_radps - np.array(gyr_bias_radps))
-    force2 = _squares(acc_mps2)
+    rate2 = squared_lengths(gyr_radps - np.array(gyr_bias_radps) if any(gyr_bias_radps) else gyr_radps)
+    force2 = squared_lengths(acc_mps2)
     match detector:
         case Detector.GYR:
             return rate2
@@ -104,9 +104,10 @@ def statistic(
     return np.asarray(force / ACC_TOLERANCE_MPS2**2 + mean(rate2) / RATE_TOLERANCE_RADPS**2)
 
 
-def _squares(vectors: FloatArray) -> FloatArray:
+def squared_lengths(vectors: FloatArray) -> FloatArray:
     """Squared lengths (N,) of vectors (N, 3)."""
-    return np.asarray(np.vecdot(vectors, vectors))
+    x, y, z = vectors.T
+    return np.asarray(x * x + y * y + z * z)
 
 
 def rate_energy(gyr_radps: FloatArray, rate_hz: float) -> FloatArray:
@@ -116,9 +117,30 @@ def rate_energy(gyr_radps: FloatArray, rate_hz: float) -> FloatArray:
 
 @jit_ieee
 def window_variances(x: Mat, n: int, step: int) -> Mat:
-    """Variances (K, 3) of the columns of ``x`` (N, 3) over each window of ``n`` samples, one every ``step``."""
+    """Variances (K, 3) of the columns of ``x`` (N, 3) over each window of ``n`` samples, one every ``step``.
+
+    Windows overlap: the sums over each ``step`` samples, less the first sample, are formed once.
+    """
+    blocks, whole = x.shape[0] // step, n // step
+    sums, total = np.zeros((blocks, 6)), np.empty(6)
     out = np.empty((max((x.shape[0] - n) // step + 1, 0), 3))
+    for k in range(blocks):
+        for i in range(k * step, k * step + step):
+            for j in range(3):
+                one = x[i, j] - x[0, j]
+                sums[k, j] += one
+                sums[k, 3 + j] += one * one
     for k in range(out.shape[0]):
-        _, _, _, vx, vy, vz = mean_and_variance(x, k * step, k * step + n)
-        out[k, 0], out[k, 1], out[k, 2] = vx, vy, vz
+        for j in range(6):
+            total[j] = 0.0
+        for block in range(k, k + whole):
+            for j in range(6):
+                total[j] += sums[block, j]
+        for i in range((k + whole) * step, k * step + n):
+            for j in range(3):
+                one = x[i, j] - x[0, j]
+                total[j] += one
+                total[3 + j] += one * one
+        for j in range(3):
+            out[k, j] = max(total[3 + j] / n - (total[j] / n) ** 2, 0.0)
     return out

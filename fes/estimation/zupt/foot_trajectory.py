@@ -183,10 +183,12 @@ def foot_samples(
     """
     t_ns = np.ascontiguousarray(t_ns, dtype=np.int64)
     acc, gyr = np.ascontiguousarray(acc_mps2, dtype=np.float64), np.ascontiguousarray(gyr_radps, dtype=np.float64)
-    usable = (np.abs(acc) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr) < LARGEST_VALUE).all(axis=1)
-    t_ns, acc, gyr = t_ns[usable], acc[usable], gyr[usable]
+    if not all(x.max(initial=0.0) < LARGEST_VALUE and x.min(initial=0.0) > -LARGEST_VALUE for x in (acc, gyr)):
+        usable = (np.abs(acc) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr) < LARGEST_VALUE).all(axis=1)
+        t_ns, acc, gyr = t_ns[usable], acc[usable], gyr[usable]
     newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])[: len(t_ns)]
-    t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
+    if not newer.all():
+        t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))

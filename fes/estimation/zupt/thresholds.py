@@ -17,13 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.numerics.filters import runs
+from fes.estimation.numerics.filters import greatest_at_each, likeness, runs
 from fes.estimation.zupt.detectors import (
     ACC_TOLERANCE_MPS2,
     RATE_TOLERANCE_RADPS,
     WINDOW_S,
     Detector,
     rate_energy,
+    squared_lengths,
     statistic,
     window_samples,
     window_variances,
@@ -53,14 +54,15 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if shortest < 1 or count < 2 * longest:
         return 0.0
-    size = np.sqrt(np.vecdot(gyr_radps, gyr_radps))[: count * step].reshape(count, step).mean(axis=1)
+    lengths = np.sqrt(squared_lengths(gyr_radps))[: count * step]
+    size = np.mean([lengths[i::step] for i in range(step)], axis=0)
     size -= size[0]  # so that of lengths that are all the same nothing is left, not even rounding
     size -= size.mean()
-    whole = float(size @ size)
+    whole = float((size * size).sum())
     if whole == 0.0:
         return 0.0
-    lags = np.arange(shortest - 1, longest + 2)
-    alike = np.array([size[lag:] @ size[: count - lag] for lag in lags.tolist()])
+    lags, alike = np.arange(shortest - 1, longest + 2), np.empty(longest + 3 - shortest)
+    likeness(size, shortest - 1, alike)
     alike /= whole * (1.0 - lags / count)
     inner = alike[1:-1]
     top = (inner >= alike[:-2]) & (inner >= alike[2:])
@@ -100,8 +102,8 @@ def stance_instants(zero_velocity: BoolArray, energy: FloatArray, rate_hz: float
     """
     begins, ends = runs(zero_velocity).T
     apart = begins[1:] - ends[:-1] >= SHORTEST_MOVE_S * rate_hz
-    stances = zip(begins[np.append(True, apart)[: len(begins)]], ends[np.append(apart, True)[: len(ends)]], strict=True)
-    return np.array([begin + int(np.argmin(energy[begin:end])) for begin, end in stances], np.int64)
+    first, last = np.append(True, apart)[: len(begins)], np.append(apart, True)[: len(ends)]
+    return greatest_at_each(-energy, begins[first], ends[last])
 
 
 STANDING_S = 1.0
@@ -165,7 +167,7 @@ def find_zero_velocity(
         bias = x, y, z
     else:
         quiet = acc[energy <= np.percentile(energy, 15.0)]
-        gravity, bias = float(np.median(np.sqrt(np.vecdot(quiet, quiet)))), (0.0, 0.0, 0.0)
+        gravity, bias = float(np.median(np.sqrt(squared_lengths(quiet)))), (0.0, 0.0, 0.0)
     values = statistic(detector, acc, gyr, rate_hz, gravity_mps2=gravity, gyr_bias_radps=bias)
     if standing:
         samples = 1 if detector is Detector.GYR else window_samples(WINDOW_S, rate_hz)
