@@ -16,6 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from drivers.imu.port import ImuLost
 from drivers.simulated.bus_guests import Rogue
 from drivers.simulated.record import RecordEntry
@@ -70,7 +72,9 @@ CHECKED_SHARE: Final = 1 / 256  # of random frames have the right CRC (docs/can.
 LATCHES_WITHIN_NS: Final = NS_PER_S // 10  # after the first refused command the session has heard of it
 SESSION: Final = "session"  # the record's word for one that was opened
 NO_CRC: Final = ("wrong CRC", "bytes instead")
-STUCK_MS: Final = 1500.0  # on for so long, the burst is none of walking
+USUAL_S: Final = 15.0  # several walks of four strides, after which the controller knows how long a burst lasts …
+STUCK_S: Final = 20.0  # … and as many with a stand behind each, in which the stance does not end
+STUCK_LATE_MS: Final = 150.0  # and a quarter of the usual length: so much later a burst may end that nothing ends
 DOSE_WAIT_S: Final = 60.0
 DOSE_TRIES: Final = 4
 DOSE_ROUNDING_UC: Final = 12.0  # one command's and one pulse's charge
@@ -347,18 +351,24 @@ def _odd(entry: RecordEntry) -> bool:
 
 
 def _burst_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
-    """A stance that does not end: the burst must, at its longest on-time."""
+    """A stance that does not end: the burst must, a quarter and some 100 ms after the length of those in walking."""
     bench.prepare(scenario.variant)
-    burst = bench.in_burst(STUCK_MS)
-    bench.observe((scenario.deadline_ms or 0.0) * 1e-3 - 1e-3 * STUCK_MS + 0.3)
-    named = stated_reason(bench)
-    stretches = bench.outputs(burst.on_ns)
-    longest = with_late_pulses(stretches, next(output for output in stretches if output.on_ns == burst.on_ns))
-    faults = reason_faults(named, scenario)
-    if resumed_after(stretches, burst.on_ns):
-        faults.append("current again without arming")
-    last_ms = (longest[-1].last_pulse_ns - burst.on_ns) / MS
-    return Attempt(length_ms(longest, time.monotonic_ns()), last_ms, named, tuple(faults))
+    bench.observe(USUAL_S)
+    begin_ns = time.monotonic_ns()
+    bench.observe(STUCK_S)
+    named, now_ns = stated_reason(bench), time.monotonic_ns()
+    stretches = [each for each in bench.outputs(begin_ns) if each.on_ns > begin_ns and each.off_ns is not None]
+    if is_latched(bench) and bench.was_away(named, begin_ns, now_ns):
+        return Attempt(named=named, away=True)
+    lengths_ms = [length_ms(with_late_pulses(stretches, each), now_ns) for each in stretches]
+    if is_latched(bench) or not lengths_ms:
+        return Attempt(named=named, faults=(f"off: {named}" if named else "no burst",))
+    usual_ms, longest_ms = float(np.median(lengths_ms)), max(lengths_ms)
+    if longest_ms < 1.1 * usual_ms:
+        raise CampaignBroken(f"no stance lasted longer than usual for {STUCK_S:g} s")
+    late = longest_ms > 1.25 * usual_ms + STUCK_LATE_MS
+    faults = [f"{longest_ms:.0f} ms where {usual_ms:.0f} ms are usual"] if late else []
+    return Attempt(longest_ms, named=named, faults=tuple(faults), notice=f"usual are {usual_ms:.0f} ms")
 
 
 def _charge_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:

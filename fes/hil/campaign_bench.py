@@ -35,6 +35,9 @@ def _next_command(status: Status) -> str:
     return "up" if status.state in ALLOWED else "arm"
 
 
+SAID_NOTHING: Final = "nothing said; a first start compiles (`fes compile` does that ahead), a busy machine is slow"
+
+
 class CampaignBroken(RuntimeError):
     """The session under test does not come up, or does not stimulate though nothing is wrong."""
 
@@ -199,8 +202,8 @@ class CampaignBench:
                 self.command(command(status))
             time.sleep(2 * LOOK_S)
         status = self.status()
-        last = f"{status.state}: {status.message}" if status and status.message else self.session().printed()
-        raise CampaignBroken(f"{else_say} for {timeout_s:g} s; last: {last}")
+        said = f"{status.state}: {status.message}" if status and status.message else self.session().printed()
+        raise CampaignBroken(f"{else_say} for {timeout_s:g} s; last: {said or SAID_NOTHING}")
 
     def status(self) -> Status | None:
         """The newest; None as long as the session says nothing."""

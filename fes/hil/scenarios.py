@@ -229,7 +229,7 @@ _ROWS: Final[tuple[Scenario, ...]] = (
     _harmless("page_frozen", "live page SIGSTOP for 2 s", needs=_PROC, variant="seen"),
     Scenario("phase_stuck", "phase stuck: stance without end", 3020, effect=Effect.BOUNDED, variant="stance",
              needs=_SIM | {Needs.LONG_STAND, Needs.CABLE},
-             response="the burst ends at its longest on-time, 3 s"),
+             response="the burst ends soon after its usual length, at most 3 s"),
     Scenario("dose", "more charge a minute than allowed", None, "mC within a minute", effect=Effect.DOSED,
              variant="dose", needs=_SIM, response="no more than the limit a minute, off, latched"),
     _ends("disk_full", "disk full"),
