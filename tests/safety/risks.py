@@ -181,12 +181,13 @@ def campaign(rows: str) -> Measured:
 
 def measured(hazard: dict[str, Any]) -> Measured | None:
     """What was measured of its control."""
-    if "campaign" in hazard:
-        return campaign(hazard["campaign"])
+    rows = campaign(hazard["campaign"]) if "campaign" in hazard else None
     if "measured" not in hazard:
-        return None
+        return rows
     sources = dict.fromkeys(re.findall(r"\{figure: ([\w-]+)", hazard["measured"]))
-    text = f"{', '.join(f'`{name}`' for name in sources)}: {filled(hazard['measured'])}"
+    text = f"{', '.join(f'`{name}`' for name in sources)}: {filled(hazard['measured'])}" + (
+        f"; {rows.text}" if rows else ""
+    )
     if "of" not in hazard:
         return Measured(text)
     of = int(filled(hazard["of"]).replace(",", ""))
