@@ -49,6 +49,10 @@ def test_crc_table_equals_long_division(data: bytes) -> None:
     assert e2e.crc8h2f(data) == bitwise_crc(data)
 
 
+def test_a_row_of_the_table_is_a_byte_divided() -> None:
+    assert e2e.crc8_table(0x2F) == bytes(bitwise_crc(bytes((byte ^ 0xFF,))) ^ 0xFF for byte in range(256))
+
+
 GOLDEN = [
     # CRC, low count 3 | channel 1 | on, session 0x1234, then 60 steps, 300 µs, 40 Hz, issued at 0, high count 5
     (can_codec.encode_command(ON, 0x53, 0x1234), 0x120, "919334123c58a2a0"),

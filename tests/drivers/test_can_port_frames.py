@@ -180,9 +180,10 @@ def test_repeated_heartbeats_are_counted_and_what_comes_behind_them_is_read() ->
     bus = ScriptedBus()
     port = opened(bus)
     port.send(COMMAND)
-    bus.add(alive(1, SESSION), alive(1, SESSION), alive(1, SESSION), status(0), alive(2, SESSION))
+    bus.add(alive(1, SESSION), alive(1, SESSION), alive(1, SESSION), status(0))
+    bus.add(alive(2, SESSION), alive(2, SESSION))
     events = port.poll(9)
-    assert port.foreign == 3
+    assert port.foreign == 4
     assert events == [
         StimStatus(9, 1, 0, True, 20.0, 300.0, 40.0, 0, 0.0, ""),
         StimAlive(9, BOOT, 0, ""),
