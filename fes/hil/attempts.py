@@ -357,7 +357,7 @@ def _burst_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Atte
     begin_ns = time.monotonic_ns()
     bench.observe(STUCK_S)
     named, now_ns = stated_reason(bench), time.monotonic_ns()
-    stretches = [each for each in bench.outputs(begin_ns) if each.on_ns > begin_ns and each.off_ns is not None]
+    stretches = [each for each in bench.outputs(begin_ns) if each.on_ns > begin_ns]
     if is_latched(bench) and bench.was_away(named, begin_ns, now_ns):
         return Attempt(named=named, away=True)
     lengths_ms = [length_ms(with_late_pulses(stretches, each), now_ns) for each in stretches]
